@@ -1,0 +1,43 @@
+# Needs Python 3.11 or newer, pip and make; everything else is installed into .venv.
+PYTHON ?= python3
+BIN := .venv/bin
+# pip is run from outside: a venv with a pip of its own needs ensurepip, which Debian packages apart.
+INSTALL := $(PYTHON) -m pip --python $(BIN)/python install --quiet -c constraints.txt
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PIP_ROOT_USER_ACTION := ignore
+# One process a core; files stay together because what is compiled stays in its process.
+PYTEST := $(BIN)/pytest -n 2 --dist loadfile
+
+.PHONY: demo test lint docs clean
+
+demo: .venv/.installed-demo
+	$(BIN)/hapjax demo
+
+# The second run is the float32 half of the suite with 64-bit numbers off, as a user has them: see CONTRIBUTING.md.
+test: .venv/.installed-dev
+	$(PYTEST)
+	JAX_ENABLE_X64=0 $(PYTEST)
+
+lint: .venv/.installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/pyright
+
+docs: .venv/.installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+clean:
+	rm -rf .venv site dist build hapjax-demo .pytest_cache .ruff_cache .hypothesis .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.venv/.installed-demo: EXTRAS := fitting,devices
+.venv/.installed-dev: EXTRAS := fitting,devices,bench,dev
+.venv/.installed-docs: EXTRAS := docs
+
+.venv/.installed-%: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "Installing hapjax with [$(EXTRAS)] into .venv ..."
+	$(INSTALL) -e '.[$(EXTRAS)]'
+	@touch $@
+
+$(BIN)/python:
+	$(PYTHON) -m venv --without-pip .venv

@@ -1,0 +1,45 @@
+"""The settings that every test runs under, and the fixtures that they share. CONTRIBUTING.md says how to use them."""
+
+import os
+from pathlib import Path
+
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+import hypothesis  # noqa: E402
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import pytest  # noqa: E402
+
+if "JAX_ENABLE_X64" not in os.environ:
+    jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# How fast a test runs depends on the machine: no example fails for being slow.
+hypothesis.settings.register_profile("hapjax", deadline=None)
+hypothesis.settings.load_profile("hapjax")
+
+X64 = jax.config.read("jax_enable_x64")
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_collection_modifyitems(config, items):
+    """With 64-bit numbers off, only the tests that are written for every precision are run."""
+    if not X64:
+        kept = [item for item in items if "dtype" in getattr(item, "fixturenames", ())]
+        config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+        items[:] = kept
+
+
+@pytest.fixture(params=["float64", "float32"] if X64 else ["float32"])
+def dtype(request):
+    """The precision of a test's inputs; results must keep it."""
+    return jnp.dtype(request.param)
+
+
+@pytest.fixture(scope="session")
+def data_dir():
+    """The recordings of real experiments, beside the project."""
+    if not DATA.is_dir():
+        pytest.skip(f"the recordings of real experiments are absent: no folder {DATA}")
+    return DATA
