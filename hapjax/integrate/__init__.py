@@ -1,0 +1,7 @@
+"""Integrators, chosen by their type in a Scene and by `method` in a scene file."""
+
+from ._integrator import Integrator as Integrator
+from .semi_implicit import SemiImplicit as SemiImplicit
+from .semi_implicit import SemiImplicitMatrix as SemiImplicitMatrix
+
+METHODS: dict[str, type[Integrator]] = {"semi_implicit": SemiImplicit, "semi_implicit_matrix": SemiImplicitMatrix}

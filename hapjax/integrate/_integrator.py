@@ -1,0 +1,35 @@
+"""What a Scene asks of an integrator."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from .._validate import as_float, check_number, check_positive
+from ..body import Body, Motion, Wrench
+from ..errors import InputError
+from ..grasp import Twist
+from ..shape import Shape
+
+
+class Integrator(eqx.Module):
+    """Advances a body under a wrench.
+
+    **Arguments:** `dt`, the time step that `step` uses unless it is given another, in s, above 0 and at most 1;
+    `substeps`, into how many a step is cut, 1 to 10,000.
+    """
+
+    dt: Float[Array, ""] = eqx.field(converter=as_float, default=1e-3)
+    substeps: int = eqx.field(static=True, default=1)
+
+    def __check_init__(self):
+        check_positive("dt", self.dt, unit="s")
+        check_number("dt", self.dt, "above 0 and at most 1 s", high=1)
+        if not isinstance(self.substeps, int) or isinstance(self.substeps, bool) or not 1 <= self.substeps <= 10_000:
+            raise InputError(f"substeps is {self.substeps!r}; allowed: a whole number from 1 to 10000")
+
+    @abstractmethod
+    def advance(
+        self, body: Body, shape: Shape, motion: Motion, wrench: Wrench, gyroscopic: bool, twist: Twist | None, dt: Float[Array, ""]
+    ) -> Motion:
+        """The motion after `dt` seconds under a wrench about the centre of mass; a locked `twist` axis keeps no spin."""

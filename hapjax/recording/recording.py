@@ -1,0 +1,107 @@
+"""Recording: fingers, forces, gimbals and object poses as they were logged, each with its own clock."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from . import csv_file, npz_file
+from .channels import ARRAYS, CHANNELS, Refusal, checked
+
+_FORMATS = {".npz": npz_file, ".csv": csv_file}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Recording:
+    """What was logged of F fingers and O moving objects, in SI units, in the world frame (z up).
+
+    Each channel has its own clock: times in seconds, finite and strictly increasing, of any origin that the channels share.
+    A channel that was not measured is None, and so are its times; at least one was measured. The arrays are
+    kept as read-only float64.
+
+    **Attributes:**
+
+    - `hip`: (T, F, 3) m, haptic interface points (fingertips); `hip_t`: (T,) s.
+    - `force`: (T, F, 3) N, the force on the finger; `force_t`: (T,) s.
+    - `gimbal`: (T, F) rad, angle of the finger's instrumented gimbal; `gimbal_t`: (T,) s.
+    - `pose`: (T, O, 7), x y z in m and the unit quaternion qw qx qy qz of each moving object in the scene's order
+        ((T, 7) is taken for one object); `pose_t`: (T,) s. Quaternions are normalised.
+
+    **Raises:** `hapjax.InputError`, naming the channel, the row (counted from 0) and what was expected: wrong shapes, no
+    real numbers, NaN or infinity, times that do not increase, samples without times, channels of
+    different finger counts, a quaternion whose norm is off 1 by more than 0.001, nothing recorded at all.
+    """
+
+    hip: np.ndarray | None = None
+    hip_t: np.ndarray | None = None
+    force: np.ndarray | None = None
+    force_t: np.ndarray | None = None
+    gimbal: np.ndarray | None = None
+    gimbal_t: np.ndarray | None = None
+    pose: np.ndarray | None = None
+    pose_t: np.ndarray | None = None
+
+    def __post_init__(self):
+        counts: dict[str, tuple[str, int]] = {}
+        for name, channel in CHANNELS.items():
+            samples, times = checked(name, getattr(self, name), getattr(self, f"{name}_t"))
+            object.__setattr__(self, name, samples)
+            object.__setattr__(self, f"{name}_t", times)
+            if samples is None:
+                continue
+            first, count = counts.setdefault(channel.items, (name, samples.shape[1]))
+            if samples.shape[1] != count:
+                problem = f"expected {count} {channel.items}, as many as in {first}, found {samples.shape[1]}"
+                raise Refusal(name, problem)
+        if not counts:
+            raise InputError(f"nothing is recorded; expected one or more of {', '.join(CHANNELS)}")
+
+    @property
+    def fingers(self) -> int:
+        """How many fingers were recorded; 0 where only objects were."""
+        return next((x.shape[1] for x in (self.hip, self.force, self.gimbal) if x is not None), 0)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "Recording":
+        """Read a recording from a `.npz` or `.csv` file.
+
+        **Raises:** `hapjax.InputError`, naming the file, the channel, the row (the line of a CSV file, counted from
+        1; the index in the arrays of an NPZ file, counted from 0) and what was expected.
+        """
+        path = Path(path)
+        try:
+            arrays, place = _format(path).read(path)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        try:
+            return cls(**arrays)
+        except Refusal as refusal:
+            raise InputError(f"{path}, {_where(refusal, place)}: {refusal.problem}") from None
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the recording as `.npz` or `.csv`, whole or not at all; `load` gives back every number bit for bit.
+
+        **Raises:** `hapjax.InputError` if the suffix is another, or the file cannot be written.
+        """
+        path = Path(path)
+        arrays = {name: getattr(self, name) for name in ARRAYS}
+        _format(path).write({name: array for name, array in arrays.items() if array is not None}, path)
+
+
+def _format(path: Path):
+    if path.suffix.lower() not in _FORMATS:
+        raise InputError(f"{path}: expected a recording named {' or '.join('*' + s for s in _FORMATS)}")
+    return _FORMATS[path.suffix.lower()]
+
+
+def _where(refusal: Refusal, place: Callable[[str, int], str]) -> str:
+    return (
+        refusal.channel
+        if refusal.row is None
+        else f"{refusal.channel}, {place(refusal.channel, refusal.row)}"
+    )

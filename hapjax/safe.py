@@ -1,0 +1,26 @@
+"""Norms and normalisations whose value and gradient are finite at their singular points.
+
+`jnp.where` alone does not help: its gradient multiplies the NaN of the branch not taken by zero. So the argument
+is replaced by a harmless one before the singular function sees it, and the result is replaced afterwards.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def norm(x: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
+    """Euclidean length along the last axis. At zero the value and the gradient are 0."""
+    square = jnp.sum(x * x, axis=-1)
+    is_zero = square == 0
+    return jnp.where(is_zero, 0, jnp.sqrt(jnp.where(is_zero, 1, square)))
+
+
+def divide(numerator: Float[Array, "*batch"], denominator: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """`numerator / denominator`, and 0 with gradient 0 where the denominator is 0."""
+    is_zero = denominator == 0
+    return jnp.where(is_zero, 0, numerator / jnp.where(is_zero, 1, denominator))
+
+
+def normalise(x: Float[Array, "*batch n"]) -> Float[Array, "*batch n"]:
+    """The unit vector along `x` (last axis), and 0 with gradient 0 where `x` is 0."""
+    return x * divide(jnp.ones_like(x[..., 0]), norm(x))[..., None]

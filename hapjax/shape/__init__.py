@@ -1,0 +1,7 @@
+"""Shapes: closest surface point, outward normal, depth and face of any query point."""
+
+from ._shape import Shape as Shape
+from ._shape import SurfacePoint as SurfacePoint
+from .box import Box as Box
+from .plane import Plane as Plane
+from .sphere import Sphere as Sphere

@@ -1,0 +1,227 @@
+"""init, step, rollout: a scene felt by fingers."""
+
+from collections import OrderedDict
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from . import body as rigid
+from . import contact as pairs
+from . import god_object, grasp, rotation
+from .body import Motion, Wrench
+from .contact import Placed
+from .errors import InputError
+from .god_object import GodObject, Touch
+from .scene import Scene, dtype_of
+
+
+class State(eqx.Module):
+    """Everything that a step remembers.
+
+    `hip` (F, 3) m, world frame, is that of the last step, kept only where a velocity or substeps need it; `motion` of
+    each moving object, `finger` the god-objects of all fingers on each touchable object (in its frame), `contact` those
+    of each contact's points (in the plane's frame), all by name.
+    """
+
+    hip: Float[Array, "F 3"] | None
+    motion: dict[str, Motion]
+    finger: dict[str, GodObject]
+    contact: dict[str, GodObject]
+
+
+class Reply(eqx.Module):
+    """What a step answers.
+
+    `force` (F, 3) N on the fingers, world frame; `pose` (O, 7) x y z qw qx qy qz of the moving objects in the scene's
+    order after the step, m; `touch` and `contact` say for each touchable object and each contact what each finger or
+    contact point did, in the touched object's frame.
+    """
+
+    force: Float[Array, "F 3"]
+    pose: Float[Array, "O 7"]
+    touch: dict[str, Touch]
+    contact: dict[str, Touch]
+
+
+def init(scene: Scene, hip: Float[Any, "F 3"]) -> State:
+    """The state before the first step: objects at rest where the scene puts them, fingers at `hip` (F, 3) m, world.
+
+    **Raises:** `InputError` where `hip` is not (F, 3) or its numbers are of another type than the scene's.
+    """
+    hip = _as_hip(scene, hip)
+    placed = {name: _placed(scene, {}, name) for name in scene.object}
+    motion = OrderedDict((name, _at_rest(scene, name)) for name in scene.moving())
+    finger = OrderedDict()
+    for name in scene.touchable():
+        finger[name] = god_object.start(_surface(scene, name), placed[name].to_local(hip))
+    contact = OrderedDict(
+        (name, pairs.start(pair, *_mover_and_plane(scene, name, placed)[1:])) for name, pair in scene.contact.items()
+    )
+    return State(hip if _needs_hip(scene) else None, motion, finger, contact)
+
+
+@jax.jit
+def step(scene: Scene, state: State, hip: Float[Any, "F 3"], dt: Any = None) -> tuple[State, Reply]:
+    """Advance a scene by `dt` seconds with the fingers at `hip` (F, 3) m, world frame.
+
+    The forces are those of the objects where they were against the fingers where they are now; then the objects move.
+    With substeps the fingers travel straight from where they were, and the reply is the last substep's.
+
+    **Arguments:** `dt` in s, above 0; `None`: the scene's integrator's.
+    """
+    hip = _as_hip(scene, hip)
+    dt = scene.integrator.dt if dt is None else jnp.asarray(dt, hip.dtype)
+    count = scene.integrator.substeps
+    if count == 1:
+        return _substep(scene, state, hip, dt)
+    if state.hip is None:
+        raise InputError("the state was made for a scene without substeps; allowed: a state from init of this scene")
+    start, short = state.hip, dt / count
+
+    def body(carry: State, fraction: Float[Array, ""]):
+        return _substep(scene, carry, start + fraction * (hip - start), short)
+
+    state, replies = jax.lax.scan(body, state, jnp.arange(1, count + 1, dtype=hip.dtype) / count)
+    return state, jax.tree.map(lambda x: x[-1], replies)
+
+
+@jax.jit
+def rollout(scene: Scene, state: State, hips: Float[Any, "T F 3"], dt: Any = None) -> tuple[State, Reply]:
+    """`step` for each of `hips` (T, F, 3) m; returns the last state and every reply, stacked along a first axis T."""
+    hips = jnp.asarray(hips)
+    return jax.lax.scan(lambda carry, hip: step(scene, carry, hip, dt), state, hips)
+
+
+def _substep(scene: Scene, state: State, hip: Float[Array, "F 3"], dt: Float[Array, ""]) -> tuple[State, Reply]:
+    velocity = None if state.hip is None else (hip - state.hip) / dt
+    placed = {name: _placed(scene, state.motion, name) for name in scene.object}
+    force = jnp.zeros_like(hip)
+    fingers: dict[str, GodObject] = OrderedDict()
+    touches: dict[str, Touch] = OrderedDict()
+    contacts: dict[str, GodObject] = OrderedDict()
+    collisions: dict[str, Touch] = OrderedDict()
+    wrenches: dict[str, Wrench] = {}
+    twists: dict[str, grasp.Twist | None] = {}
+
+    for name in scene.touchable():
+        fingers[name], touches[name], on_finger = _feel(scene, state, placed[name], name, hip, velocity)
+        force = force + on_finger
+        if name in state.motion:
+            wrenches[name], twists[name] = _grasp(scene, state, placed[name], name, hip, on_finger, fingers[name], touches[name])
+    for name in scene.contact:
+        moving, contacts[name], collisions[name], wrench = _collide(scene, state, placed, name, dt)
+        wrenches[moving] = jax.tree.map(jnp.add, wrenches[moving], wrench) if moving in wrenches else wrench
+
+    motion = OrderedDict()
+    for name in state.motion:
+        wrench = wrenches.get(name, Wrench(jnp.zeros_like(hip[0]), jnp.zeros_like(hip[0])))
+        motion[name] = _move(scene, state.motion[name], name, wrench, twists.get(name), dt)
+    pose = [jnp.concatenate([m.position, m.orientation]) for m in motion.values()]
+    after = State(None if state.hip is None else hip, motion, fingers, contacts)
+    return after, Reply(force, jnp.stack(pose) if pose else jnp.zeros((0, 7), hip.dtype), touches, collisions)
+
+
+def _feel(scene, state, placed: Placed, name: str, hip, velocity):
+    """All fingers on one object: god-objects, touches, and forces on the fingers in the world frame."""
+    surface = _surface(scene, name)
+    local = placed.to_local(hip)
+    slip = None
+    if surface.damping is not None:
+        slip = velocity
+        if name in state.motion:
+            arms = hip - _centre(scene, placed, name)[None]
+            slip = slip - rigid.velocity_at(state.motion[name], arms)
+        slip = rotation.turn_back(placed.matrix, slip)
+
+    def one(god, point, speed):
+        return god_object.touch(placed.shape, surface, god, point, speed)
+
+    axes = (0, 0, None if slip is None else 0)
+    gods, touch = jax.vmap(one, in_axes=axes)(state.finger[name], local, slip)
+    return gods, touch, rotation.turn(placed.matrix, touch.force)
+
+
+def _grasp(scene, state, placed: Placed, name: str, hip, on_finger, gods: GodObject, touch: Touch):
+    """Wrench of all fingers on a moving object, and the twist axis of a two-finger grasp."""
+    wrench = grasp.residual(-on_finger, hip - _centre(scene, placed, name)[None])
+    spin, twist = state.motion[name].spin, None
+    if scene.torsion is not None and spin is not None and hip.shape[0] > 1:
+        line = rotation.turn(placed.matrix, gods.point)
+        twist = grasp.twist_of(scene.torsion, line, touch.circle, gods.depth > 0)
+        wrench = Wrench(wrench.force, grasp.resist(scene.torsion, twist, wrench.torque, spin))
+    if scene.world.dead_band is not None and spin is not None:
+        wrench = Wrench(wrench.force, grasp.dead_band(wrench.torque, scene.world.dead_band))
+    return wrench, twist
+
+
+def _collide(scene, state, placed, name: str, dt):
+    """One contact: the moving object's name, the contact's god-objects and touches, the wrench on the object."""
+    moving, mover, plane = _mover_and_plane(scene, name, placed)
+    motion = state.motion[moving]
+    points = pairs.contact_points(mover, plane)
+    arms = points - _centre(scene, mover, moving)[None]
+    velocities = rigid.velocity_at(motion, arms)
+    gods, touch, forces = pairs.touch_plane(
+        scene.contact[name], state.contact[name], mover, plane, points, velocities, motion.spin, dt
+    )
+    return moving, gods, touch, grasp.residual(forces, arms)
+
+
+def _move(scene, motion: Motion, name: str, wrench: Wrench, twist, dt) -> Motion:
+    thing = scene.object[name]
+    if scene.world.gravity is not None:
+        wrench = Wrench(wrench.force + thing.body.mass * scene.world.gravity, wrench.torque)
+    return scene.integrator.advance(thing.body, thing.shape, motion, wrench, scene.world.gyroscopic, twist, dt)
+
+
+def _placed(scene: Scene, motion: dict[str, Motion], name: str) -> Placed:
+    thing = scene.object[name]
+    if name in motion:
+        return Placed(thing.shape, motion[name].position, rotation.to_matrix(motion[name].orientation))
+    return Placed(thing.shape, thing.position, rotation.to_matrix(rotation.normalise(thing.orientation)))
+
+
+def _mover_and_plane(scene: Scene, name: str, placed: dict[str, Placed]) -> tuple[str, Placed, Placed]:
+    first, second = scene.contact[name].between
+    moving, fixed = (second, first) if pairs.is_plane(scene.object[first].shape) else (first, second)
+    return moving, placed[moving], placed[fixed]
+
+
+def _centre(scene: Scene, placed: Placed, name: str) -> Float[Array, "3"]:
+    body = scene.object[name].body
+    assert body is not None
+    return rigid.centre_of(body, placed.position, placed.matrix)
+
+
+def _surface(scene: Scene, name: str):
+    surface = scene.object[name].surface
+    assert surface is not None
+    return surface
+
+
+def _at_rest(scene: Scene, name: str) -> Motion:
+    thing = scene.object[name]
+    assert thing.body is not None
+    still = jnp.zeros_like(thing.position)
+    # The position is copied: a state and a scene that share one array could not both be donated to a compiled step.
+    position = thing.position + still
+    return Motion(position, rotation.normalise(thing.orientation), still, still if thing.body.rotation else None)
+
+
+def _needs_hip(scene: Scene) -> bool:
+    damped = any(_surface(scene, name).damping is not None for name in scene.touchable())
+    return damped or scene.integrator.substeps > 1
+
+
+def _as_hip(scene: Scene, hip: Any) -> Float[Array, "F 3"]:
+    dtype = dtype_of(scene)
+    if not isinstance(hip, jax.Array):
+        hip = jnp.asarray(hip, dtype)
+    if hip.ndim != 2 or hip.shape[1] != 3 or hip.shape[0] == 0:
+        raise InputError(f"hip has the shape {tuple(hip.shape)}; allowed: (F, 3) with at least one finger")
+    if hip.dtype != dtype:
+        raise InputError(f"hip is {hip.dtype} but the scene is {dtype}; allowed: one type for both (see hapjax.cast)")
+    return hip
