@@ -12,6 +12,8 @@ from .scene import Object as Object
 from .scene import Scene as Scene
 from .scene import World as World
 from .scene import cast as cast
+from .scene_file import load_scene as load_scene
+from .scene_file import save_scene as save_scene
 from .shape import Box as Box
 from .shape import Plane as Plane
 from .shape import Sphere as Sphere

@@ -69,12 +69,18 @@ def check_positive(field: str, value: Any, *, shape: tuple = (), unit: str) -> N
 
 def check_not_negative(field: str, value: Any, *, shape: tuple = (), unit: str) -> None:
     """Refuse `value` unless every number in it is finite and 0 or above."""
-    check_number(field, value, f"0 {unit} or above".replace("  ", " "), shape=shape, low=0)
+    check_number(field, value, " ".join(f"0 {unit} or above".split()), shape=shape, low=0)
 
 
 def _describe(shapes: tuple[tuple[int, ...], ...]) -> str:
-    words = {(): "one number", (3,): "three numbers", (4,): "four numbers", (3, 3): "a 3x3 matrix"}
-    return " or ".join(words.get(s, f"{s[0]} numbers") for s in shapes)
+    words = {
+        (): "one number",
+        (0,): "one number",
+        (3,): "three numbers",
+        (4,): "four numbers",
+        (3, 3): "a 3x3 matrix",
+    }
+    return " or ".join(words[s] if s in words else f"{s[0]} numbers" for s in shapes)
 
 
 def _show(value: Any) -> str:

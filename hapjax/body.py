@@ -35,16 +35,22 @@ class Body(eqx.Module):
     def __check_init__(self):
         check_positive("mass", self.mass, unit="kg")
         if self.inertia is not None:
-            check_number("inertia", self.inertia, "three numbers or a 3x3 matrix in kg m^2", shape=((3,), (3, 3)))
+            check_number(
+                "inertia", self.inertia, "three numbers or a 3x3 matrix in kg m^2", shape=((3,), (3, 3))
+            )
             _check_inertia(self.inertia)
         if self.centre is not None:
             check_number("centre", self.centre, "three numbers in m", shape=(3,))
             if self.inertia is None:
-                raise InputError("centre is given without inertia; allowed: both, or neither for uniform density")
+                raise InputError(
+                    "centre is given without inertia; allowed: both, or neither for uniform density"
+                )
         if not isinstance(self.rotation, bool):
             raise InputError(f"rotation is {self.rotation!r}; allowed: true or false")
         if not self.rotation and not (self.inertia is None and self.centre is None):
-            raise InputError("rotation is false but inertia or centre is given; allowed: a body that turns, or neither")
+            raise InputError(
+                "rotation is false but inertia or centre is given; allowed: a body that turns, or neither"
+            )
 
 
 class Motion(eqx.Module):
@@ -76,7 +82,9 @@ def velocity_at(motion: Motion, arms: Float[Array, "*n 3"]) -> Float[Array, "*n 
     """Velocity (m/s) of the body's points at `arms` (m) from its centre of mass, world frame."""
     if motion.spin is None:
         return jnp.broadcast_to(motion.velocity, arms.shape)
-    return jnp.broadcast_to(motion.velocity, arms.shape) + jnp.cross(jnp.broadcast_to(motion.spin, arms.shape), arms)
+    return jnp.broadcast_to(motion.velocity, arms.shape) + jnp.cross(
+        jnp.broadcast_to(motion.spin, arms.shape), arms
+    )
 
 
 def inertia_of(body: Body, shape: Shape) -> Float[Array, "3"] | Float[Array, "3 3"]:
@@ -85,7 +93,9 @@ def inertia_of(body: Body, shape: Shape) -> Float[Array, "3"] | Float[Array, "3 
         return body.inertia
     per_mass = shape.inertia_per_mass()
     if per_mass is None:
-        raise InputError(f"a body with the shape {type(shape).__name__.lower()} has no inertia; allowed: sphere, box")
+        raise InputError(
+            f"a body with the shape {type(shape).__name__.lower()} has no inertia; allowed: sphere, box"
+        )
     return body.mass * per_mass
 
 
@@ -117,7 +127,9 @@ def _solve(matrix: Float[Array, "3 3"], vector: Float[Array, "3"]) -> Float[Arra
     # Cramer's rule: a call of LAPACK for three unknowns costs more than the rest of the step.
     a, b, c = matrix[:, 0], matrix[:, 1], matrix[:, 2]
     bc = jnp.cross(b, c)
-    x = jnp.stack([jnp.sum(vector * bc), jnp.sum(vector * jnp.cross(c, a)), jnp.sum(vector * jnp.cross(a, b))])
+    x = jnp.stack(
+        [jnp.sum(vector * bc), jnp.sum(vector * jnp.cross(c, a)), jnp.sum(vector * jnp.cross(a, b))]
+    )
     return x / jnp.sum(a * bc)
 
 
@@ -126,7 +138,9 @@ def _check_inertia(inertia: Any) -> None:
         return
     value = np.asarray(inertia, np.float64)
     if value.ndim == 2 and not np.allclose(value, value.T, rtol=1e-6):
-        raise InputError(f"inertia is {value.tolist()}, which is not symmetric; allowed: a symmetric 3x3 matrix")
+        raise InputError(
+            f"inertia is {value.tolist()}, which is not symmetric; allowed: a symmetric 3x3 matrix"
+        )
     principal = np.sort(value if value.ndim == 1 else np.linalg.eigvalsh(value))
     if principal[0] <= 0 or principal[2] > (principal[0] + principal[1]) * (1 + 1e-6):
         raise InputError(

@@ -54,7 +54,9 @@ def contact_points(placed: Placed, plane: Placed) -> Float[Array, "V 3"]:
         return placed.to_world(shape.vertices())
     if isinstance(shape, Sphere):
         return (placed.position - shape.radius * plane.matrix[:, 2])[None]
-    raise InputError(f"a {type(shape).__name__.lower()} has no contact points with a plane; allowed: box, sphere")
+    raise InputError(
+        f"a {type(shape).__name__.lower()} has no contact points with a plane; allowed: box, sphere"
+    )
 
 
 def touch_plane(
@@ -79,7 +81,9 @@ def touch_plane(
         # The lowest point of a rolling ball travels with its centre while the material there stands still: the
         # god-object is held by the material, so it goes along by the difference.
         rolled = dt * jnp.cross(spin, placed.shape.radius * plane.matrix[:, 2])
-        gods = eqx.tree_at(lambda g: g.point, gods, gods.point + rotation.turn_back(plane.matrix, rolled)[None])
+        gods = eqx.tree_at(
+            lambda g: g.point, gods, gods.point + rotation.turn_back(plane.matrix, rolled)[None]
+        )
     gods, touch = jax.vmap(lambda g, p, v: god_object.touch(plane.shape, contact, g, p, v))(gods, local, slip)
     return gods, touch, rotation.turn(plane.matrix, touch.force)
 

@@ -45,7 +45,10 @@ def residual(forces: Float[Array, "n 3"], arms: Float[Array, "n 3"]) -> Wrench:
 
 
 def twist_of(
-    torsion: GravityDrop, god_objects: Float[Array, "F 3"], circles: Float[Array, "F"], touching: Bool[Array, "F"]
+    torsion: GravityDrop,
+    god_objects: Float[Array, "F 3"],
+    circles: Float[Array, "F"],
+    touching: Bool[Array, "F"],
 ) -> Twist:
     """The twist axis of a grasp. `god_objects` (m) in the world frame, `circles` their radii mu d (m)."""
     two = jnp.sum(touching, dtype=jnp.int32) == 2
@@ -57,7 +60,9 @@ def twist_of(
     return Twist(safe.normalise(line), free)
 
 
-def resist(torsion: GravityDrop, twist: Twist, torque: Float[Array, "3"], spin: Float[Array, "3"]) -> Float[Array, "3"]:
+def resist(
+    torsion: GravityDrop, twist: Twist, torque: Float[Array, "3"], spin: Float[Array, "3"]
+) -> Float[Array, "3"]:
     """The torque (N m) that is left of `torque` in a two-finger grasp; MHS's T - (T.u) u min(A / A_crit, 1)."""
     about = (twist.free - 1) * jnp.sum(torque * twist.axis)
     if torsion.twist_damping is not None:

@@ -3,7 +3,6 @@
 import re
 from collections import OrderedDict
 from collections.abc import Mapping
-from contextlib import contextmanager
 from typing import Any
 
 import equinox as eqx
@@ -15,7 +14,7 @@ from jaxtyping import Array, Float
 from ._validate import as_float, check_not_negative, check_number, is_traced
 from .body import Body
 from .contact import Contact, is_plane
-from .errors import InputError
+from .errors import InputError, within
 from .grasp import GravityDrop
 from .integrate import Integrator, SemiImplicit
 from .shape import Shape
@@ -41,14 +40,20 @@ class Object(eqx.Module):
 
     def __check_init__(self):
         check_number("position", self.position, "three numbers in m", shape=(3,))
-        check_number("orientation", self.orientation, "four numbers w, x, y, z that are not all 0", shape=(4,))
+        check_number(
+            "orientation", self.orientation, "four numbers w, x, y, z that are not all 0", shape=(4,)
+        )
         if not is_traced(self.orientation) and not np.any(np.asarray(self.orientation)):
-            raise InputError("orientation is [0.0, 0.0, 0.0, 0.0]; allowed: four numbers w, x, y, z that are not all 0")
+            raise InputError(
+                "orientation is [0.0, 0.0, 0.0, 0.0]; allowed: four numbers w, x, y, z that are not all 0"
+            )
         if self.surface is not None:
-            with _within("surface"):
+            with within("surface."):
                 self.surface.check_faces(self.shape.faces)
         if self.body is not None and self.shape.inertia_per_mass() is None:
-            raise InputError(f"body is given, but a {type(self.shape).__name__.lower()} is unbounded; allowed: no body")
+            raise InputError(
+                f"body is given, but a {type(self.shape).__name__.lower()} is unbounded; allowed: no body"
+            )
 
 
 class World(eqx.Module):
@@ -105,18 +110,24 @@ class Scene(eqx.Module):
         for kind, parts in (("object", self.object), ("contact", self.contact)):
             for name in parts:
                 if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
-                    raise InputError(f"{kind} has the name {name!r}; allowed: letters, digits and _, no digit first")
+                    raise InputError(
+                        f"{kind} has the name {name!r}; allowed: letters, digits and _, no digit first"
+                    )
         for name, pair in self.contact.items():
-            with _within(f"contact.{name}"):
+            with within(f"contact.{name}."):
                 _check_pair(pair, self.object)
         _check_distinct(self.contact)
         turning = [o for o in self.object.values() if o.body is not None and o.body.rotation]
         if self.torsion is not None and not any(o.surface is not None for o in turning):
-            raise InputError("torsion is given, but no object with surface and body can turn; allowed: no torsion")
+            raise InputError(
+                "torsion is given, but no object with surface and body can turn; allowed: no torsion"
+            )
         if self.world.gyroscopic and not turning:
             raise InputError("world.gyroscopic is true, but no object has a body that turns; allowed: false")
         if self.world.dead_band is not None and not turning:
-            raise InputError("world.dead_band is given, but no object has a body that turns; allowed: no dead band")
+            raise InputError(
+                "world.dead_band is given, but no object has a body that turns; allowed: no dead band"
+            )
 
     def moving(self) -> list[str]:
         """Names of the objects that have a body, in the scene's order: the order of a recording's poses."""
@@ -136,17 +147,10 @@ def dtype_of(scene: Scene) -> Any:
     """The one floating type of a scene's numbers. **Raises:** `InputError` where it has several."""
     kinds = sorted({str(leaf.dtype) for leaf in jax.tree.leaves(scene)})
     if len(kinds) != 1:
-        raise InputError(f"the scene mixes the number types {', '.join(kinds)}; allowed: one (see hapjax.cast)")
+        raise InputError(
+            f"the scene mixes the number types {', '.join(kinds)}; allowed: one (see hapjax.cast)"
+        )
     return jnp.dtype(kinds[0])
-
-
-@contextmanager
-def _within(prefix: str):
-    """Put the path of the enclosing part before the field that a refusal names."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{prefix}.{error}") from None
 
 
 def _check_pair(pair: Contact, objects: Mapping[str, Object]) -> None:
@@ -155,14 +159,18 @@ def _check_pair(pair: Contact, objects: Mapping[str, Object]) -> None:
             raise InputError(f"between names {name!r}, which is no object; allowed: {', '.join(objects)}")
     if pair.between[0] == pair.between[1]:
         raise InputError(f"between names {pair.between[0]!r} twice; allowed: two different objects")
-    pair.check_faces(())
+    for name in ("mu", "mu_static", "mu_kinetic"):
+        if getattr(pair, name) is not None:
+            check_number(name, getattr(pair, name), "one number, since a contact has no faces")
     first, second = (objects[name] for name in pair.between)
     planes = [o for o in (first, second) if is_plane(o.shape)]
     if len(planes) != 1:
         kinds = " and ".join(type(o.shape).__name__.lower() for o in (first, second))
         raise InputError(f"between pairs a {kinds}; allowed: a box or sphere and a plane")
     if first.body is None and second.body is None:
-        raise InputError(f"between pairs {pair.between[0]} and {pair.between[1]}, both without a body; allowed: one that moves")
+        raise InputError(
+            f"between pairs {pair.between[0]} and {pair.between[1]}, both without a body; allowed: one that moves"
+        )
 
 
 def _check_distinct(contacts: Mapping[str, Contact]) -> None:
@@ -170,4 +178,6 @@ def _check_distinct(contacts: Mapping[str, Contact]) -> None:
     for name, pair in contacts.items():
         other = seen.setdefault(frozenset(pair.between), name)
         if other != name:
-            raise InputError(f"contact.{name}.between names the pair of contact.{other} again; allowed: each pair once")
+            raise InputError(
+                f"contact.{name}.between names the pair of contact.{other} again; allowed: each pair once"
+            )

@@ -58,7 +58,8 @@ def init(scene: Scene, hip: Float[Any, "F 3"]) -> State:
     for name in scene.touchable():
         finger[name] = god_object.start(_surface(scene, name), placed[name].to_local(hip))
     contact = OrderedDict(
-        (name, pairs.start(pair, *_mover_and_plane(scene, name, placed)[1:])) for name, pair in scene.contact.items()
+        (name, pairs.start(pair, *_mover_and_plane(scene, name, placed)[1:]))
+        for name, pair in scene.contact.items()
     )
     return State(hip if _needs_hip(scene) else None, motion, finger, contact)
 
@@ -78,7 +79,9 @@ def step(scene: Scene, state: State, hip: Float[Any, "F 3"], dt: Any = None) -> 
     if count == 1:
         return _substep(scene, state, hip, dt)
     if state.hip is None:
-        raise InputError("the state was made for a scene without substeps; allowed: a state from init of this scene")
+        raise InputError(
+            "the state was made for a scene without substeps; allowed: a state from init of this scene"
+        )
     start, short = state.hip, dt / count
 
     def body(carry: State, fraction: Float[Array, ""]):
@@ -95,7 +98,9 @@ def rollout(scene: Scene, state: State, hips: Float[Any, "T F 3"], dt: Any = Non
     return jax.lax.scan(lambda carry, hip: step(scene, carry, hip, dt), state, hips)
 
 
-def _substep(scene: Scene, state: State, hip: Float[Array, "F 3"], dt: Float[Array, ""]) -> tuple[State, Reply]:
+def _substep(
+    scene: Scene, state: State, hip: Float[Array, "F 3"], dt: Float[Array, ""]
+) -> tuple[State, Reply]:
     velocity = None if state.hip is None else (hip - state.hip) / dt
     placed = {name: _placed(scene, state.motion, name) for name in scene.object}
     force = jnp.zeros_like(hip)
@@ -110,7 +115,9 @@ def _substep(scene: Scene, state: State, hip: Float[Array, "F 3"], dt: Float[Arr
         fingers[name], touches[name], on_finger = _feel(scene, state, placed[name], name, hip, velocity)
         force = force + on_finger
         if name in state.motion:
-            wrenches[name], twists[name] = _grasp(scene, state, placed[name], name, hip, on_finger, fingers[name], touches[name])
+            wrenches[name], twists[name] = _grasp(
+                scene, state, placed[name], name, hip, on_finger, fingers[name], touches[name]
+            )
     for name in scene.contact:
         moving, contacts[name], collisions[name], wrench = _collide(scene, state, placed, name, dt)
         wrenches[moving] = jax.tree.map(jnp.add, wrenches[moving], wrench) if moving in wrenches else wrench
@@ -174,7 +181,9 @@ def _move(scene, motion: Motion, name: str, wrench: Wrench, twist, dt) -> Motion
     thing = scene.object[name]
     if scene.world.gravity is not None:
         wrench = Wrench(wrench.force + thing.body.mass * scene.world.gravity, wrench.torque)
-    return scene.integrator.advance(thing.body, thing.shape, motion, wrench, scene.world.gyroscopic, twist, dt)
+    return scene.integrator.advance(
+        thing.body, thing.shape, motion, wrench, scene.world.gyroscopic, twist, dt
+    )
 
 
 def _placed(scene: Scene, motion: dict[str, Motion], name: str) -> Placed:
@@ -208,7 +217,9 @@ def _at_rest(scene: Scene, name: str) -> Motion:
     still = jnp.zeros_like(thing.position)
     # The position is copied: a state and a scene that share one array could not both be donated to a compiled step.
     position = thing.position + still
-    return Motion(position, rotation.normalise(thing.orientation), still, still if thing.body.rotation else None)
+    return Motion(
+        position, rotation.normalise(thing.orientation), still, still if thing.body.rotation else None
+    )
 
 
 def _needs_hip(scene: Scene) -> bool:
@@ -223,5 +234,7 @@ def _as_hip(scene: Scene, hip: Any) -> Float[Array, "F 3"]:
     if hip.ndim != 2 or hip.shape[1] != 3 or hip.shape[0] == 0:
         raise InputError(f"hip has the shape {tuple(hip.shape)}; allowed: (F, 3) with at least one finger")
     if hip.dtype != dtype:
-        raise InputError(f"hip is {hip.dtype} but the scene is {dtype}; allowed: one type for both (see hapjax.cast)")
+        raise InputError(
+            f"hip is {hip.dtype} but the scene is {dtype}; allowed: one type for both (see hapjax.cast)"
+        )
     return hip

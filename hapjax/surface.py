@@ -35,7 +35,9 @@ class Surface(eqx.Module):
             check_not_negative("damping", self.damping, unit="s/m")
         names = [n for n in ("mu", "mu_static", "mu_kinetic") if getattr(self, n) is not None]
         if names not in (["mu"], ["mu_static", "mu_kinetic"]):
-            raise InputError(f"{' and '.join(names) or 'no mu'} given; allowed: mu alone, or mu_static with mu_kinetic")
+            raise InputError(
+                f"{' and '.join(names) or 'no mu'} given; allowed: mu alone, or mu_static with mu_kinetic"
+            )
         for name in names:
             value = getattr(self, name)
             shape = getattr(value, "shape", ())
@@ -47,7 +49,12 @@ class Surface(eqx.Module):
         for name in ("mu", "mu_static", "mu_kinetic"):
             value = getattr(self, name)
             if value is not None and value.ndim == 1:
-                check_number(name, value, f"one number, or one for each of the faces {', '.join(faces)}", shape=(len(faces),))
+                check_number(
+                    name,
+                    value,
+                    f"one number, or one for each of the faces {', '.join(faces)}",
+                    shape=(len(faces),),
+                )
 
     def static_at(self, face: Int[Array, ""]) -> Float[Array, ""]:
         """The mu of breaking away on a face."""

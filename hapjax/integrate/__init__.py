@@ -4,4 +4,7 @@ from ._integrator import Integrator as Integrator
 from .semi_implicit import SemiImplicit as SemiImplicit
 from .semi_implicit import SemiImplicitMatrix as SemiImplicitMatrix
 
-METHODS: dict[str, type[Integrator]] = {"semi_implicit": SemiImplicit, "semi_implicit_matrix": SemiImplicitMatrix}
+METHODS: dict[str, type[Integrator]] = {
+    "semi_implicit": SemiImplicit,
+    "semi_implicit_matrix": SemiImplicitMatrix,
+}

@@ -25,11 +25,22 @@ class Integrator(eqx.Module):
     def __check_init__(self):
         check_positive("dt", self.dt, unit="s")
         check_number("dt", self.dt, "above 0 and at most 1 s", high=1)
-        if not isinstance(self.substeps, int) or isinstance(self.substeps, bool) or not 1 <= self.substeps <= 10_000:
+        if (
+            not isinstance(self.substeps, int)
+            or isinstance(self.substeps, bool)
+            or not 1 <= self.substeps <= 10_000
+        ):
             raise InputError(f"substeps is {self.substeps!r}; allowed: a whole number from 1 to 10000")
 
     @abstractmethod
     def advance(
-        self, body: Body, shape: Shape, motion: Motion, wrench: Wrench, gyroscopic: bool, twist: Twist | None, dt: Float[Array, ""]
+        self,
+        body: Body,
+        shape: Shape,
+        motion: Motion,
+        wrench: Wrench,
+        gyroscopic: bool,
+        twist: Twist | None,
+        dt: Float[Array, ""],
     ) -> Motion:
         """The motion after `dt` seconds under a wrench about the centre of mass; a locked `twist` axis keeps no spin."""

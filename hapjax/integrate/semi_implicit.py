@@ -15,7 +15,14 @@ class SemiImplicit(Integrator):
     """Semi-implicit Euler with the exact exponential map for the rotation."""
 
     def advance(
-        self, body: Body, shape: Shape, motion: Motion, wrench: Wrench, gyroscopic: bool, twist: Twist | None, dt: Float[Array, ""]
+        self,
+        body: Body,
+        shape: Shape,
+        motion: Motion,
+        wrench: Wrench,
+        gyroscopic: bool,
+        twist: Twist | None,
+        dt: Float[Array, ""],
     ) -> Motion:
         """One step; see `Integrator.advance`."""
         velocity = motion.velocity + dt * wrench.force / body.mass
@@ -23,7 +30,9 @@ class SemiImplicit(Integrator):
             return Motion(motion.position + dt * velocity, motion.orientation, velocity, None)
         matrix = rotation.to_matrix(motion.orientation)
         inertia = rigid.inertia_of(body, shape)
-        spin = motion.spin + dt * rigid.angular_acceleration(inertia, matrix, motion.spin, wrench.torque, gyroscopic)
+        spin = motion.spin + dt * rigid.angular_acceleration(
+            inertia, matrix, motion.spin, wrench.torque, gyroscopic
+        )
         if twist is not None:
             spin = grasp.lock(twist, spin)
         orientation = rotation.normalise(self.turn(motion.orientation, spin, dt))
@@ -32,7 +41,9 @@ class SemiImplicit(Integrator):
             position = position + rotation.turn(matrix - rotation.to_matrix(orientation), body.centre)
         return Motion(position, orientation, velocity, spin)
 
-    def turn(self, orientation: Float[Array, "4"], spin: Float[Array, "3"], dt: Float[Array, ""]) -> Float[Array, "4"]:
+    def turn(
+        self, orientation: Float[Array, "4"], spin: Float[Array, "3"], dt: Float[Array, ""]
+    ) -> Float[Array, "4"]:
         """R = exp(S dt) R_old, with S the cross-product matrix of the world-frame spin."""
         return rotation.product(rotation.from_rotation_vector(spin * dt), orientation)
 
@@ -40,7 +51,9 @@ class SemiImplicit(Integrator):
 class SemiImplicitMatrix(SemiImplicit):
     """Semi-implicit Euler with MHS's rotation update (section 3), its factors in the right order."""
 
-    def turn(self, orientation: Float[Array, "4"], spin: Float[Array, "3"], dt: Float[Array, ""]) -> Float[Array, "4"]:
+    def turn(
+        self, orientation: Float[Array, "4"], spin: Float[Array, "3"], dt: Float[Array, ""]
+    ) -> Float[Array, "4"]:
         """R = (I + S dt) R_old, then Gram-Schmidt on the columns.
 
         MHS writes R_old (I + S dt) with the world-frame spin; that turns about the body's axes and does not converge.

@@ -5,3 +5,5 @@ from ._shape import SurfacePoint as SurfacePoint
 from .box import Box as Box
 from .plane import Plane as Plane
 from .sphere import Sphere as Sphere
+
+SHAPES: dict[str, type[Shape]] = {"plane": Plane, "sphere": Sphere, "box": Box}

@@ -1,0 +1,196 @@
+"""Scenes from and to TOML: the same names as the Python fields, what is absent is left out."""
+
+import dataclasses
+import os
+import tempfile
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import tomli_w
+
+from .body import Body
+from .contact import Contact
+from .errors import InputError, within
+from .grasp import GravityDrop
+from .integrate import METHODS
+from .scene import Object, Scene, World
+from .shape import SHAPES
+from .surface import Surface
+
+_TORSIONS: dict[str, type] = {"gravity_drop": GravityDrop}
+_PLACE = ("position", "orientation")
+_LARGEST = 16 * 2**20  # bytes; a scene file is written by hand
+
+
+def load_scene(path: str | os.PathLike) -> Scene:
+    """Read a scene file.
+
+    **Raises:** `InputError`, one sentence that names the file, the field, the value and what is allowed.
+    """
+    path = Path(path)
+    with within(f"{path}: "):
+        return scene_from_dict(_read(path))
+
+
+def save_scene(scene: Scene, path: str | os.PathLike) -> None:
+    """Write a scene file, whole or not at all. `load_scene` gives the same numbers back, to the last bit."""
+    path = Path(path)
+    text = tomli_w.dumps(scene_to_dict(scene))
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); allowed: a file in an existing folder"
+        ) from None
+
+
+def scene_from_dict(table: Mapping[str, Any]) -> Scene:
+    """The scene that a scene file's tables describe. **Raises:** `InputError` as `load_scene`, without the file's name."""
+    _known(table, "", ("object", "contact", "torsion", "world", "integrator"))
+    parts: dict[str, Any] = {
+        "object": {name: _object(name, t) for name, t in _tables(table, "object").items()},
+        "contact": {
+            name: _build(Contact, t, f"contact.{name}.") for name, t in _tables(table, "contact").items()
+        },
+    }
+    if "torsion" in table:
+        parts["torsion"] = _chosen(_TORSIONS, "model", None, table["torsion"], "torsion.")
+    if "world" in table:
+        parts["world"] = _build(World, table["world"], "world.")
+    if "integrator" in table:
+        parts["integrator"] = _chosen(METHODS, "method", "semi_implicit", table["integrator"], "integrator.")
+    return Scene(**parts)
+
+
+def scene_to_dict(scene: Scene) -> dict[str, Any]:
+    """The tables of the scene file that describes a scene."""
+    table: dict[str, Any] = {"object": {name: _object_table(o) for name, o in scene.object.items()}}
+    if scene.contact:
+        table["contact"] = {name: _fields(pair) for name, pair in scene.contact.items()}
+    if scene.torsion is not None:
+        table["torsion"] = {"model": _name_of(_TORSIONS, scene.torsion), **_fields(scene.torsion)}
+    table["world"] = _fields(scene.world)
+    table["integrator"] = {"method": _name_of(METHODS, scene.integrator), **_fields(scene.integrator)}
+    return table
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(
+                f"has {path.stat().st_size} bytes; allowed: a scene file of at most {_LARGEST} bytes"
+            )
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror}); allowed: a scene file in TOML") from None
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"has a byte at {error.start} that is not UTF-8; allowed: a scene file in TOML"
+        ) from None
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(
+            f"is not TOML: {str(error) or 'nested too deep'}; allowed: a scene file in TOML"
+        ) from None
+
+
+def _object(name: str, table: Any) -> Object:
+    prefix = f"object.{name}."
+    _check_table(table, f"object.{name}")
+    shape_type = _choice(SHAPES, "shape", None, table, prefix)
+    shape_fields = [f.name for f in dataclasses.fields(shape_type)]
+    _known(table, prefix, ("shape", *shape_fields, *_PLACE, "surface", "body"))
+    parts: dict[str, Any] = {key: table[key] for key in _PLACE if key in table}
+    parts["shape"] = _build(shape_type, {key: table[key] for key in shape_fields if key in table}, prefix)
+    if "surface" in table:
+        parts["surface"] = _build(Surface, table["surface"], f"{prefix}surface.")
+    if "body" in table:
+        parts["body"] = _build(Body, table["body"], f"{prefix}body.")
+    with within(prefix):
+        return Object(**parts)
+
+
+def _object_table(thing: Object) -> dict[str, Any]:
+    table = {"shape": _name_of(SHAPES, thing.shape), **_fields(thing.shape)}
+    table |= {key: _plain(getattr(thing, key)) for key in _PLACE}
+    for key, part in (("surface", thing.surface), ("body", thing.body)):
+        if part is not None:
+            table[key] = _fields(part)
+    return table
+
+
+def _chosen(types: Mapping[str, type], key: str, default: str | None, table: Any, prefix: str) -> Any:
+    """The part whose type one key of its table names."""
+    _check_table(table, prefix[:-1])
+    chosen = _choice(types, key, default, table, prefix)
+    return _build(chosen, {k: v for k, v in table.items() if k != key}, prefix)
+
+
+def _choice(
+    types: Mapping[str, type], key: str, default: str | None, table: Mapping[str, Any], prefix: str
+) -> type:
+    if key not in table and default is None:
+        raise InputError(f"{prefix}{key} is missing; allowed: {', '.join(types)}")
+    name = table.get(key, default)
+    if not isinstance(name, str) or name not in types:
+        raise InputError(f"{prefix}{key} is {name!r}; allowed: {', '.join(types)}")
+    return types[name]
+
+
+def _build(part: type, table: Any, prefix: str) -> Any:
+    """A module from the table that has its fields."""
+    _check_table(table, prefix[:-1])
+    fields = dataclasses.fields(part)
+    _known(table, prefix, [f.name for f in fields])
+    for field in fields:
+        required = field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+        if required and field.name not in table:
+            raise InputError(f"{prefix}{field.name} is missing; allowed: a scene that gives it")
+    with within(prefix):
+        return part(**table)
+
+
+def _tables(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    found = table.get(key, {})
+    _check_table(found, key)
+    return found
+
+
+def _check_table(table: Any, name: str) -> None:
+    if not isinstance(table, Mapping):
+        raise InputError(f"{name} is {table!r}; allowed: a table")
+
+
+def _known(table: Mapping[str, Any], prefix: str, allowed) -> None:
+    for key in table:
+        if key not in allowed:
+            raise InputError(f"{prefix}{key} is not known; allowed: {', '.join(allowed)}")
+
+
+def _name_of(types: Mapping[str, type], part: Any) -> str:
+    for name, kind in types.items():
+        if type(part) is kind:
+            return name
+    raise InputError(f"{type(part).__name__} has no name in scene files; allowed: {', '.join(types)}")
+
+
+def _fields(part: Any) -> dict[str, Any]:
+    values = {f.name: getattr(part, f.name) for f in dataclasses.fields(part)}
+    return {name: _plain(value) for name, value in values.items() if value is not None}
+
+
+def _plain(value: Any) -> Any:
+    """A value as TOML has it; a float32 by its own shortest decimals, so that 0.6 stays 0.6."""
+    if isinstance(value, (jax.Array, np.ndarray)):
+        return _decimal(np.asarray(value))
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _decimal(value: np.ndarray) -> Any:
+    return float(str(value[()])) if value.ndim == 0 else [_decimal(np.asarray(v)) for v in value]
