@@ -64,12 +64,12 @@ def check_number(
 
 def check_positive(field: str, value: Any, *, shape: tuple = (), unit: str) -> None:
     """Refuse `value` unless every number in it is finite and above 0."""
-    check_number(field, value, f"above 0 {unit}".strip(), shape=shape, low=0, open_low=True)
+    check_number(field, value, f"above 0 {unit}".strip(), shape=shape, low=0.0, open_low=True)
 
 
 def check_not_negative(field: str, value: Any, *, shape: tuple = (), unit: str) -> None:
     """Refuse `value` unless every number in it is finite and 0 or above."""
-    check_number(field, value, " ".join(f"0 {unit} or above".split()), shape=shape, low=0)
+    check_number(field, value, " ".join(f"0 {unit} or above".split()), shape=shape, low=0.0)
 
 
 def _describe(shapes: tuple[tuple[int, ...], ...]) -> str:

@@ -24,7 +24,7 @@ class Integrator(eqx.Module):
 
     def __check_init__(self):
         check_positive("dt", self.dt, unit="s")
-        check_number("dt", self.dt, "above 0 and at most 1 s", high=1)
+        check_number("dt", self.dt, "above 0 and at most 1 s", high=1.0)
         if (
             not isinstance(self.substeps, int)
             or isinstance(self.substeps, bool)
