@@ -1,4 +1,4 @@
-"""The settings that every test runs under, and the fixtures that they share. CONTRIBUTING.md says how to use them."""
+"""The settings that every test runs under, and shared fixtures. CONTRIBUTING.md says how to use them."""
 
 import os
 from pathlib import Path

@@ -35,7 +35,7 @@ ROUNDING = 8 * np.finfo(np.float64).eps
 
 
 class Refusal(InputError):
-    """A channel is refused. It names channel and row; the file and its line are for the one who read it to add."""
+    """A channel is refused, by name and row; who read it from a file adds the file and the line."""
 
     def __init__(self, channel: str, problem: str, row: int | None = None):
         super().__init__(f"{channel}: {problem}" if row is None else f"{channel}, row {row}: {problem}")
@@ -52,11 +52,10 @@ def checked(name: str, samples: object, times: object) -> tuple[np.ndarray | Non
     if times is None:
         raise Refusal(name, f"its times are missing, expected {name}_t in seconds, shape (T,)")
     if samples is None:
-        raise Refusal(
-            name, f"only its times {name}_t are given, expected {name} too, shape {CHANNELS[name].shape}"
-        )
+        raise Refusal(name, f"only its times {name}_t are given, expected shape {CHANNELS[name].shape}")
     values, seconds = _numbers(name, samples), _numbers(f"{name}_t", times)
-    values = values[:, None, :] if name == "pose" and values.ndim == 2 else values
+    if name == "pose" and values.shape[1:] == (len(CHANNELS[name].parts),):
+        values = values[:, None, :]
     _check_shapes(name, values, seconds)
     _check_finite(name, values, seconds)
     _check_increasing(name, seconds)
@@ -78,39 +77,31 @@ def _numbers(name: str, value: object) -> np.ndarray:
 
 def _check_shapes(name: str, values: np.ndarray, seconds: np.ndarray) -> None:
     channel = CHANNELS[name]
+    parts = (len(channel.parts),) if channel.parts else ()
     if seconds.ndim != 1:
         raise Refusal(f"{name}_t", f"expected shape (T,), found {seconds.shape}")
-    if values.ndim != (3 if channel.parts else 2) or (
-        channel.parts and values.shape[2] != len(channel.parts)
-    ):
+    if values.ndim != 2 + len(parts) or values.shape[2:] != parts:
         raise Refusal(name, f"expected shape {channel.shape}, found {values.shape}")
     if len(values) != len(seconds):
-        raise Refusal(
-            name, f"expected one time a sample, found {len(values)} samples and {len(seconds)} times"
-        )
+        raise Refusal(name, f"found {len(values)} samples and {len(seconds)} times, expected as many")
     if values.size == 0:
-        raise Refusal(
-            name, f"expected samples of one or more {channel.items}, found none (shape {values.shape})"
-        )
+        raise Refusal(name, f"expected samples of some {channel.items}, found none: shape {values.shape}")
 
 
 def _check_finite(name: str, values: np.ndarray, seconds: np.ndarray) -> None:
     for array, what in ((seconds, "time"), (values.reshape(len(values), -1), "value")):
         bad = np.argwhere(~np.isfinite(array))
         if len(bad):
-            found = array[tuple(bad[0])]
-            raise Refusal(name, f"expected finite numbers, found the {what} {found}", int(bad[0][0]))
+            problem = f"expected finite numbers, found the {what} {array[tuple(bad[0])]}"
+            raise Refusal(name, problem, int(bad[0][0]))
 
 
 def _check_increasing(name: str, seconds: np.ndarray) -> None:
     late = np.flatnonzero(seconds[1:] <= seconds[:-1])
     if len(late):
         before, time = seconds[late[0] : late[0] + 2].tolist()
-        raise Refusal(
-            name,
-            f"expected a time after {before} s, that of the sample before, found {time} s",
-            int(late[0]) + 1,
-        )
+        problem = f"expected a time after {before} s, that of the sample before, found {time} s"
+        raise Refusal(name, problem, int(late[0]) + 1)
 
 
 def _unit_quaternions(pose: np.ndarray) -> np.ndarray:
@@ -119,7 +110,7 @@ def _unit_quaternions(pose: np.ndarray) -> np.ndarray:
     off = np.argwhere(np.abs(norm - 1) > UNIT_TOLERANCE)
     if len(off):
         row, item = off[0].tolist()
-        problem = f"expected a unit quaternion (qw, qx, qy, qz) within {UNIT_TOLERANCE}, found the norm {norm[row, item]:.6g}"
-        raise Refusal("pose", f"{problem} (object {item})", row)
+        problem = f"expected a quaternion qw qx qy qz of norm 1 within {UNIT_TOLERANCE}"
+        raise Refusal("pose", f"{problem}, found {norm[row, item]:.6g} of object {item}", row)
     norm = np.where(np.abs(norm - 1) <= ROUNDING, 1.0, norm)
     return np.concatenate([pose[..., :3], pose[..., 3:] / norm[..., None]], axis=-1)

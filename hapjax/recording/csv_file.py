@@ -1,11 +1,12 @@
-"""Recordings as CSV: one time column, one column a number, a row for each time at which any channel has a sample.
+"""Recordings as CSV: a column `t`, a column a number, and a row for each time that a channel has a sample of.
 
-The header is `t, hip0_x, hip0_y, hip0_z, force0_x, ..., gimbal0, ..., hip1_x, ..., pose_x, ..., pose_qz`, in any order; several
-objects are `pose0_x, ..., pose1_x, ...`. Empty cells are samples not taken.
+The header is `t, hip0_x, hip0_y, hip0_z, force0_x, ..., gimbal0, hip1_x, ..., pose_x, ..., pose_qz`, in any
+order; several objects are `pose0_x, ..., pose1_x, ...`. Empty cells are samples not taken.
 """
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,47 +16,40 @@ from ..errors import InputError
 from ..files import replacing
 from .channels import CHANNELS
 
-_COLUMN = re.compile(
-    r"(?P<position>hip|force)(?P<finger>0|[1-9]\d?)_[xyz]"
-    r"|(?P<angle>gimbal)(?P<joint>0|[1-9]\d?)"
-    r"|(?P<pose>pose)(?P<object>0|[1-9]\d?|)_(x|y|z|qw|qx|qy|qz)"
-)
+_COLUMN = re.compile(r"(hip|force|gimbal|pose)(\d{0,6})(_\w+)?")
 
 
 def read(path: Path) -> tuple[dict[str, np.ndarray], Callable[[str, int], str]]:
-    """The arrays of a CSV file by name, and how a row of one of its channels is called: by its line.
+    """The arrays of a CSV file by name, and how a row of a channel is called: by its line.
 
-    **Raises:** `hapjax.InputError` for an unknown, missing or repeated column, a row of the wrong length, a cell that is no
-    number, or a sample of which only a part is there; `OSError` if the file cannot be opened.
+    **Raises:** `hapjax.InputError` for an unknown, missing or repeated column, a row of the wrong length, a
+    cell that is no number, or a part of a sample; `OSError` if the file cannot be opened.
     """
     with open(path, encoding="utf-8-sig", newline="") as file:
         rows = _rows(path, csv.reader(file))
-        _, header = next(rows, (0, []))
-        if not header:
-            raise InputError(f"{path}: expected a header line, found an empty file")
-        header = [name.strip() for name in header]
-        layout = _layout(path, header)
-        samples = {name: [] for name in layout}
-        times = {name: [] for name in layout}
-        lines = {name: [] for name in layout}
+        head, header = next(rows, (0, []))
+        layout = _layout(f"{path}, line {head}" if header else str(path), header)
+        clock = header.index("t")
+        lines, times, samples = ({name: [] for name in layout} for _ in range(3))
         for line, row in rows:
             if len(row) != len(header):
-                raise InputError(
-                    f"{path}, line {line}: expected {len(header)} cells as in the header, found {len(row)}"
-                )
-            time = _number(path, line, "t", row[header.index("t")])
+                raise InputError(f"{path}, line {line}: expected {len(header)} cells, found {len(row)}")
+            time = _number(path, line, "t", row[clock])
             for name, columns in layout.items():
-                cells = [row[i].strip() for i in columns]
-                if not any(cells):
+                filled = [i for i in columns if row[i]]
+                if not filled:
                     continue
-                samples[name].append([_number(path, line, header[i], row[i]) for i in columns])
-                times[name].append(time)
+                if len(filled) < len(columns):
+                    empty = next(header[i] for i in columns if not row[i])
+                    problem = f"expected all of a sample of {name} or none of it, found {empty} empty"
+                    raise InputError(f"{path}, line {line}: {problem}")
                 lines[name].append(line)
+                times[name].append(time)
+                samples[name].append([_number(path, line, header[i], row[i]) for i in columns])
     arrays = {}
     for name in (name for name in layout if samples[name]):
-        parts = len(CHANNELS[name].parts)
-        flat = np.array(samples[name])
-        arrays[name] = flat.reshape(len(flat), -1, parts) if parts else flat
+        shape = (-1, len(CHANNELS[name].parts)) if CHANNELS[name].parts else (-1,)
+        arrays[name] = np.array(samples[name]).reshape(len(samples[name]), *shape)
         arrays[f"{name}_t"] = np.array(times[name])
     return arrays, lambda channel, row: f"line {lines[channel][row]}"
 
@@ -67,13 +61,11 @@ def write(arrays: dict[str, np.ndarray], path: Path) -> None:
     header, rows = ["t"], [[time] for time in times.tolist()]
     for name in present:
         columns = _columns(name, arrays[name].shape[1])
-        samples = dict(
-            zip(arrays[f"{name}_t"].tolist(), arrays[name].reshape(-1, len(columns)).tolist(), strict=True)
-        )
-        absent = [None] * len(columns)
+        numbers = arrays[name].reshape(-1, len(columns)).tolist()
+        samples = dict(zip(arrays[f"{name}_t"].tolist(), numbers, strict=True))
         header += columns
         for row in rows:
-            row += samples.get(row[0], absent)
+            row += samples.get(row[0], [None] * len(columns))
     with replacing(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
@@ -81,54 +73,50 @@ def write(arrays: dict[str, np.ndarray], path: Path) -> None:
 
 
 def _columns(channel: str, count: int, numbered: bool = False) -> list[str]:
-    """The columns of a channel of `count` fingers or objects; one object alone goes without a number."""
+    """The columns of a channel of `count` fingers or objects; an object alone goes without a number."""
     plain = channel == "pose" and count == 1 and not numbered
     parts = [f"_{part}" for part in CHANNELS[channel].parts] or [""]
     return [f"{channel}{'' if plain else i}{part}" for i in range(count) for part in parts]
 
 
 def _rows(path: Path, reader) -> Iterator[tuple[int, list[str]]]:
-    """Line number (of the row's last line, from 1) and cells of each row that is not blank."""
+    """Line number (from 1) and cells, without the spaces around them, of each row that is not blank."""
     try:
         for row in reader:
-            if any(cell.strip() for cell in row):
-                yield reader.line_num, row
+            cells = [cell.strip() for cell in row]
+            if any(cells):
+                yield reader.line_num, cells
     except UnicodeDecodeError:
-        raise InputError(
-            f"{path}, after line {reader.line_num}: expected UTF-8 text, found other bytes"
-        ) from None
+        raise InputError(f"{path}: expected UTF-8 text, found other bytes") from None
     except csv.Error as error:
-        raise InputError(
-            f"{path}, line {reader.line_num}: expected comma-separated cells, found an error: {error}"
-        ) from None
+        raise InputError(f"{path}, line {reader.line_num}: expected comma-separated cells: {error}") from None
 
 
-def _layout(path: Path, header: list[str]) -> dict[str, list[int]]:
-    """Where in a row the numbers of each channel are, in the order of its array."""
-    if repeated := [name for name in header if header.count(name) > 1]:
-        raise InputError(f"{path}, line 1: expected each column once, found {repeated[0]!r} more than once")
+def _layout(where: str, header: list[str]) -> dict[str, list[int]]:
+    """At which places of a row the numbers of each channel are, in the order of its array."""
+    if not header:
+        raise InputError(f"{where}: expected a line of column names, found an empty file")
+    for name, times in Counter(header).most_common(1):
+        if times > 1:
+            raise InputError(f"{where}: expected each column once, found {name!r} {times} times")
     if "t" not in header:
-        raise InputError(f"{path}, line 1: expected a column 't' (seconds), found none")
+        raise InputError(f"{where}: expected a column 't' (seconds), found none")
+    matches = [match for name in header if (match := _COLUMN.fullmatch(name))]
     counts: dict[str, int] = {}
-    for name in header:
-        match = _COLUMN.fullmatch(name)
-        if name != "t" and match is None:
-            raise InputError(
-                f"{path}, line 1: unknown column {name!r}, expected t, hip0_x, force0_x, gimbal0, pose_x, pose_qw and their like"
-            )
-        if match:
-            channel = match["position"] or match["angle"] or match["pose"]
-            index = int(match["finger"] or match["joint"] or match["object"] or 0)
-            counts[channel] = max(counts.get(channel, 0), index + 1)
-    layout = {}
-    for channel, count in counts.items():
-        columns = _columns(channel, count, numbered="pose_x" not in header)
-        if missing := [name for name in columns if name not in header]:
-            raise InputError(
-                f"{path}, line 1: column {missing[0]} is missing, expected all of {', '.join(columns)}"
-            )
-        layout[channel] = [header.index(name) for name in columns]
-    return layout
+    for channel, index, _ in (match.groups() for match in matches):
+        last = min(int(index or 0), len(header))  # so that one wild number does not make a million columns
+        counts[channel] = max(counts.get(channel, 0), last + 1)
+    numbered = any(match[1] == "pose" and match[2] for match in matches)
+    expected = {channel: _columns(channel, count, numbered) for channel, count in counts.items()}
+    known = {"t"}.union(*expected.values())
+    if unknown := [name for name in header if name not in known]:
+        examples = "t, hip0_x, force0_x, gimbal0, pose_x, pose_qw and the like"
+        raise InputError(f"{where}: unknown column {unknown[0]!r}, expected {examples}")
+    if missing := known.difference(header):
+        first = next(name for names in expected.values() for name in names if name in missing)
+        raise InputError(f"{where}: column {first!r} is missing, expected every part of each channel")
+    place = {name: i for i, name in enumerate(header)}
+    return {channel: [place[name] for name in names] for channel, names in expected.items()}
 
 
 def _number(path: Path, line: int, column: str, cell: str) -> float:
@@ -137,5 +125,5 @@ def _number(path: Path, line: int, column: str, cell: str) -> float:
             raise ValueError
         return float(cell)
     except ValueError:
-        found = f"found {cell.strip()[:40]!r}" if cell.strip() else "found an empty cell"
-        raise InputError(f"{path}, line {line}, column {column}: expected a number, {found}") from None
+        where = f"{path}, line {line}, column {column}"
+        raise InputError(f"{where}: expected a number, found {cell[:40]!r}") from None

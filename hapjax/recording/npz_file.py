@@ -1,6 +1,7 @@
-"""Recordings as NPZ: the arrays `hip`, `hip_t`, `force`, `force_t`, `gimbal`, `gimbal_t`, `pose`, `pose_t`."""
+"""Recordings as NPZ: one array a channel, `hip`, and one for its times, `hip_t`."""
 
 import zipfile
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,18 +18,20 @@ UNPACKED_RATIO, UNPACKED_MARGIN = 20, 64 * 2**20
 def read(path: Path) -> tuple[dict[str, np.ndarray], Callable[[str, int], str]]:
     """The arrays of an NPZ file by name, and how a row of them is called.
 
-    **Raises:** `hapjax.InputError` for what is no NPZ file, a damaged or pickled array, an unknown name, or a file that
-    would unpack to far more than its size; `OSError` if it cannot be opened.
+    **Raises:** `hapjax.InputError` for what is no NPZ file, a damaged or pickled array, an unknown name, or a
+    file that would unpack to far more than its size; `OSError` if it cannot be opened.
     """
-    names = _member_names(path)
-    if repeated := {name for name in names if names.count(name) > 1}:
-        raise InputError(
-            f"{path}: expected each array once, found {', '.join(sorted(repeated))} more than once"
-        )
-    if unknown := [name for name in names if name not in ARRAYS]:
-        raise InputError(f"{path}: unknown array {unknown[0]!r}, expected only {', '.join(ARRAYS)}")
-    with np.load(path, allow_pickle=False) as archive:
-        arrays = {name: _read_array(path, archive, name) for name in names}
+    size = path.stat().st_size
+    if size == 0:
+        raise InputError(f"{path}: expected an NPZ file, found an empty one")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            _check_members(path, size, members)
+            arrays = {_name(member): _read_array(path, archive, member) for member in members}
+    except zipfile.BadZipFile:
+        problem = "expected a whole NPZ file, found another format or one that was cut short"
+        raise InputError(f"{path}: {problem}") from None
     return arrays, lambda channel, row: f"row {row}"
 
 
@@ -38,32 +41,29 @@ def write(arrays: dict[str, np.ndarray], path: Path) -> None:
         np.savez(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 
-def _member_names(path: Path) -> list[str]:
-    size = path.stat().st_size
-    if size == 0:
-        raise InputError(f"{path}: expected an NPZ file, found an empty one")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-    except zipfile.BadZipFile:
-        raise InputError(
-            f"{path}: expected an NPZ file, found none: it was cut short or is of another format"
-        ) from None
+def _name(member: zipfile.ZipInfo) -> str:
+    return member.filename.removesuffix(".npy")
+
+
+def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> None:
+    names = [_name(member) for member in members]
+    if unknown := [name for name in names if name not in ARRAYS]:
+        raise InputError(f"{path}: unknown array {unknown[0]!r}, expected only {', '.join(ARRAYS)}")
+    for name, times in Counter(names).most_common(1):
+        if times > 1:
+            raise InputError(f"{path}: expected each array once, found {name!r} {times} times")
     unpacked = sum(member.file_size for member in members)
     limit = UNPACKED_RATIO * size + UNPACKED_MARGIN
     if unpacked > limit:
-        raise InputError(
-            f"{path}: {size} bytes that unpack to {unpacked}, expected at most {limit}; save it without compression"
-        )
-    return [member.filename.removesuffix(".npy") for member in members]
+        problem = f"expected {size} bytes to unpack to at most {limit}, found {unpacked}"
+        raise InputError(f"{path}: {problem}; save it uncompressed")
 
 
-def _read_array(path: Path, archive: "np.lib.npyio.NpzFile", name: str) -> np.ndarray:
+def _read_array(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
     try:
-        return archive[name]
+        with archive.open(member) as file:
+            return np.lib.format.read_array(file, allow_pickle=False)
     except Exception as error:  # numpy, zipfile and zlib raise a dozen kinds for a damaged array
-        if "allow_pickle" in str(error):
-            raise InputError(
-                f"{path}, {name}: expected an array of real numbers, found Python objects (pickled)"
-            ) from None
-        raise InputError(f"{path}, {name}: expected a whole array, found a damaged one ({error})") from error
+        found = "Python objects (pickled)" if "allow_pickle" in str(error) else "a damaged one"
+        problem = f"expected an array of real numbers, found {found}"
+        raise InputError(f"{path}, {_name(member)}: {problem}") from error

@@ -1,7 +1,6 @@
 """Recording: fingers, forces, gimbals and object poses as they were logged, each with its own clock."""
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,20 +17,20 @@ _FORMATS = {".npz": npz_file, ".csv": csv_file}
 class Recording:
     """What was logged of F fingers and O moving objects, in SI units, in the world frame (z up).
 
-    Each channel has its own clock: times in seconds, finite and strictly increasing, of any origin that the channels share.
-    A channel that was not measured is None, and so are its times; at least one was measured. The arrays are
-    kept as read-only float64.
+    Each channel has its own clock: times in seconds, finite and strictly increasing, of any origin that the
+    channels share. A channel that was not measured is None, and so are its times; at least one was measured.
+    The arrays are kept as read-only float64.
 
     **Attributes:**
 
     - `hip`: (T, F, 3) m, haptic interface points (fingertips); `hip_t`: (T,) s.
     - `force`: (T, F, 3) N, the force on the finger; `force_t`: (T,) s.
     - `gimbal`: (T, F) rad, angle of the finger's instrumented gimbal; `gimbal_t`: (T,) s.
-    - `pose`: (T, O, 7), x y z in m and the unit quaternion qw qx qy qz of each moving object in the scene's order
-        ((T, 7) is taken for one object); `pose_t`: (T,) s. Quaternions are normalised.
+    - `pose`: (T, O, 7), x y z in m and the unit quaternion qw qx qy qz of each moving object in the scene's
+      order, or (T, 7) for one object; `pose_t`: (T,) s. Quaternions are normalised.
 
-    **Raises:** `hapjax.InputError`, naming the channel, the row (counted from 0) and what was expected: wrong shapes, no
-    real numbers, NaN or infinity, times that do not increase, samples without times, channels of
+    **Raises:** `hapjax.InputError`, naming the channel, the row (counted from 0) and what was expected: wrong
+    shapes, no real numbers, NaN or infinity, times that do not increase, samples without times, channels of
     different finger counts, a quaternion whose norm is off 1 by more than 0.001, nothing recorded at all.
     """
 
@@ -54,7 +53,9 @@ class Recording:
                 continue
             first, count = counts.setdefault(channel.items, (name, samples.shape[1]))
             if samples.shape[1] != count:
-                problem = f"expected {count} {channel.items}, as many as in {first}, found {samples.shape[1]}"
+                problem = (
+                    f"expected as many {channel.items} as {first} has, {count}, found {samples.shape[1]}"
+                )
                 raise Refusal(name, problem)
         if not counts:
             raise InputError(f"nothing is recorded; expected one or more of {', '.join(CHANNELS)}")
@@ -68,8 +69,8 @@ class Recording:
     def load(cls, path: str | os.PathLike[str]) -> "Recording":
         """Read a recording from a `.npz` or `.csv` file.
 
-        **Raises:** `hapjax.InputError`, naming the file, the channel, the row (the line of a CSV file, counted from
-        1; the index in the arrays of an NPZ file, counted from 0) and what was expected.
+        **Raises:** `hapjax.InputError`, naming the file, the channel, the row (a line of a CSV file, counted
+        from 1; an index into an NPZ file's arrays, counted from 0) and what was expected.
         """
         path = Path(path)
         try:
@@ -79,12 +80,13 @@ class Recording:
         try:
             return cls(**arrays)
         except Refusal as refusal:
-            raise InputError(f"{path}, {_where(refusal, place)}: {refusal.problem}") from None
+            row = "" if refusal.row is None else f", {place(refusal.channel, refusal.row)}"
+            raise InputError(f"{path}, {refusal.channel}{row}: {refusal.problem}") from None
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the recording as `.npz` or `.csv`, whole or not at all; `load` gives back every number bit for bit.
+        """Write the recording as `.npz` or `.csv`, whole or not at all; `load` gives back the very numbers.
 
         **Raises:** `hapjax.InputError` if the suffix is another, or the file cannot be written.
         """
@@ -97,11 +99,3 @@ def _format(path: Path):
     if path.suffix.lower() not in _FORMATS:
         raise InputError(f"{path}: expected a recording named {' or '.join('*' + s for s in _FORMATS)}")
     return _FORMATS[path.suffix.lower()]
-
-
-def _where(refusal: Refusal, place: Callable[[str, int], str]) -> str:
-    return (
-        refusal.channel
-        if refusal.row is None
-        else f"{refusal.channel}, {place(refusal.channel, refusal.row)}"
-    )
