@@ -1,8 +1,8 @@
 """A finger on a fixed surface, against an oracle written from the rule's definition in NumPy.
 
-The oracle is MHS section 2 with static and kinetic friction and Hunt-Crossley damping, one finger and one step
-at a time: with damping the friction circle has the radius mu f_n / k, and both shares of the tangential pull
-count.
+The oracle is MHS section 2 with static and kinetic friction and Hunt-Crossley damping, one finger and one
+step at a time: with damping the friction circle has the radius mu f_n / k, and both shares of the tangential
+pull count.
 """
 
 import jax
