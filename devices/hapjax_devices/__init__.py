@@ -1,0 +1,14 @@
+"""Haptic devices, virtual ones too, and the servo loop that lets fingers feel a scene through them."""
+
+from .device import Device as Device
+from .device import DeviceClosed as DeviceClosed
+from .device import DeviceError as DeviceError
+from .operator import Hand as Hand
+from .operator import Operator as Operator
+from .operator import waypoints as waypoints
+from .safety import ForceGuard as ForceGuard
+from .sensor import ForceSensor as ForceSensor
+from .sensor import PoseTracker as PoseTracker
+from .servo import ServoResult as ServoResult
+from .servo import run as run
+from .virtual import VirtualDevice as VirtualDevice

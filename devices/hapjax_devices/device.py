@@ -1,0 +1,49 @@
+"""What a haptic device is to the servo loop: a fingertip's position in, a force out."""
+
+from typing import Protocol, Self, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+
+class DeviceError(Exception):
+    """A device could not do what it was asked; the family of all that goes wrong with one."""
+
+
+class DeviceClosed(DeviceError):
+    """A device was read or written while it was not open."""
+
+
+@runtime_checkable
+class Device(Protocol):
+    """One fingertip. Everything is in SI units and in the world frame (z up).
+
+    `with device:` opens it and closes it again. A device says of itself: `force_limit`, the largest norm of a force
+    that it takes, N; `resolution`, the step of its positions, m.
+    """
+
+    force_limit: float
+    resolution: float
+
+    def open(self) -> None:
+        """Make the device ready. **Raises:** `DeviceError` where that fails."""
+        ...
+
+    def read(self) -> Float[np.ndarray, "3"]:
+        """The newest position of the fingertip, m. **Raises:** `DeviceError`."""
+        ...
+
+    def write(self, force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Push the finger with `force` (N) until the next write; returns the force that it really puts out.
+
+        **Raises:** `DeviceError`.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go: no force any more. Closing twice is no error."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *exception) -> None: ...

@@ -1,0 +1,104 @@
+"""A human hand as a mass on a spring and a damper, whose other end follows a script."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from hapjax import InputError
+
+
+@dataclass(frozen=True)
+class Hand:
+    """An operator's hand: `mass` in kg, `stiffness` in N/m, `damping` in N s/m, all above 0.
+
+    `damping` None is critical damping, 2 sqrt(stiffness mass).
+    """
+
+    mass: float = 0.15
+    stiffness: float = 400.0
+    damping: float | None = None
+
+    def __post_init__(self):
+        for name in ("mass", "stiffness", "damping"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < np.inf:
+                raise InputError(f"{name} of the hand is {value}; allowed: above 0")
+
+    def transition(self, period: float) -> Float[np.ndarray, "2 2"]:
+        """What becomes of (offset, velocity) from the spring's end in `period` seconds without a force.
+
+        The exponential of the period times [[0, 1], [-k/m, -c/m]] in closed form: with s = c / 2m and
+        w^2 = s^2 - k/m it is exp(-s t) (cosh(w t) I + sinh(w t) / w (A + s I)); w is imaginary below critical damping.
+        """
+        c = 2 * np.sqrt(self.stiffness * self.mass) if self.damping is None else self.damping
+        decay = c / (2 * self.mass)
+        w = np.emath.sqrt(decay**2 - self.stiffness / self.mass)
+        matrix = np.array([[0.0, 1.0], [-self.stiffness / self.mass, -c / self.mass]])
+        # Near critical damping sinh(w t) / w is a ratio of two roundings; its limit is t.
+        slope = period if abs(w * period) < 1e-6 else np.sinh(w * period) / w
+        moved = np.cosh(w * period) * np.eye(2) + slope * (matrix + decay * np.eye(2))
+        return np.exp(-decay * period) * np.real(moved)
+
+
+class Operator:
+    """A hand that follows a path and yields to forces: m x'' = k (p - x) + c (p' - x') + f.
+
+    Exact for a force that is constant and a path that is straight between samples, so stable for any period. Time is
+    counted in samples, never taken from a clock: the same script gives the same motion.
+
+    **Arguments:** `path` (T, 3) m, where the hand wants to be at each sample, held at its last row afterwards;
+    `period` s between samples, above 0.
+    """
+
+    def __init__(self, path: Float[np.ndarray, "T 3"], period: float, hand: Hand):
+        path = np.array(path, np.float64)
+        if path.ndim != 2 or path.shape[1] != 3 or not len(path) or not np.all(np.isfinite(path)):
+            raise InputError(
+                f"path has the shape {path.shape}; allowed: (T, 3) finite numbers in m, T at least 1"
+            )
+        if not 0 < period < np.inf:
+            raise InputError(f"period is {period} s; allowed: above 0")
+        self._path, self._period = path, period
+        self._from_offset, self._from_velocity = hand.transition(period).T
+        self._compliance = 1 / hand.stiffness
+        self._sample = 0
+        self.position = path[0].copy()
+        self.velocity = np.zeros(3)
+
+    def advance(self, force: Float[np.ndarray, "3"]) -> None:
+        """Go on to the next sample while `force` (N) pushes the hand."""
+        last = len(self._path) - 1
+        start = self._path[min(self._sample, last)]
+        end = self._path[min(self._sample + 1, last)]
+        pace = (end - start) / self._period
+        rest = force * self._compliance  # where the force alone would hold the hand, from the path
+        offset, velocity = self.position - start - rest, self.velocity - pace
+        self.position = end + rest + self._from_offset[0] * offset + self._from_velocity[0] * velocity
+        self.velocity = pace + self._from_offset[1] * offset + self._from_velocity[1] * velocity
+        self._sample += 1
+
+
+def waypoints(
+    times: Sequence[float], values: Sequence, t: Float[np.ndarray, "T"]
+) -> Float[np.ndarray, "T ..."]:
+    """Smooth passage from value to value: at rest at each of `times` (s), and of least jerk in between.
+
+    The least jerk from rest to rest is the quintic 10 u^3 - 15 u^4 + 6 u^5 (Flash and Hogan 1985, equation 3). Before
+    the first time and after the last, their values hold.
+
+    **Arguments:** `times`, increasing, one for each of `values` (numbers or arrays of one shape); `t` (T,) s, where the
+    passage is wanted.
+    """
+    knots, levels = np.asarray(times, np.float64), np.asarray(values, np.float64)
+    if knots.ndim != 1 or len(knots) < 2 or len(levels) != len(knots) or np.any(np.diff(knots) <= 0):
+        raise InputError(
+            f"times are {list(times)}; allowed: two or more that increase, one for each of the values"
+        )
+    t = np.clip(t, knots[0], knots[-1])
+    leg = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 2)
+    u = (t - knots[leg]) / (knots[leg + 1] - knots[leg])
+    blend = u**3 * (10 + u * (6 * u - 15))
+    blend = blend.reshape(blend.shape + (1,) * (levels.ndim - 1))
+    return levels[leg] + blend * (levels[leg + 1] - levels[leg])

@@ -1,0 +1,195 @@
+"""The servo loop: read the fingers, step the scene, push the fingers, a thousand times a second."""
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+import hapjax
+from hapjax import InputError, Scene
+from hapjax.recording import Recording
+
+from .device import Device
+from .realtime import MonotonicClock, Pacer, uncollected, undisturbed
+from .safety import ForceGuard
+from .sensor import ForceSensor, PoseTracker
+
+WARM_UP = 50  # calls before the first deadline: the first ones of a compiled function are slow
+
+
+@dataclass(frozen=True)
+class ServoResult:
+    """What a run of the servo loop leaves behind.
+
+    `recording`; for each tick how late it began, `lateness_us`, and how long it worked, `compute_us` (T,) us; `missed`
+    deadlines; how many force commands were `not_finite` or `limited`; `refused`, a sentence for each privilege
+    that the system did not grant.
+    """
+
+    recording: Recording
+    lateness_us: Float[np.ndarray, "T"]
+    compute_us: Float[np.ndarray, "T"]
+    missed: int
+    not_finite: int
+    limited: int
+    refused: tuple[str, ...]
+
+    def summary(self) -> dict[str, dict[str, float] | int]:
+        """Percentiles p50, p99, p99.9 and the maximum of lateness and compute time in us, ticks and missed ticks."""
+        return {
+            "lateness_us": _percentiles(self.lateness_us),
+            "compute_us": _percentiles(self.compute_us),
+            "ticks": len(self.lateness_us),
+            "missed": self.missed,
+        }
+
+
+def run(
+    scene: Scene,
+    devices: Sequence[Device],
+    duration: float,
+    rate: float = 1000.0,
+    *,
+    force_sensor: ForceSensor | None = None,
+    pose_tracker: PoseTracker | None = None,
+    realtime: bool = True,
+) -> ServoResult:
+    """Let the fingers on `devices` feel a scene for `duration` seconds, and record it.
+
+    The recording's clock is the servo clock: tick n is at n / rate. `hip` is exactly what the step got. The forces of
+    tick n push until tick n + 1 and are measured at tick n; its poses are those that the step ends with, and
+    are measured at tick n + 1. The forces are off again when the loop ends, in whatever way it does.
+
+    **Arguments:**
+
+    - `devices`, one a finger; `run` opens and closes them.
+    - `rate` in Hz, above 0; the step's dt is 1 / rate, whatever the scene's integrator says.
+    - `force_sensor`, `pose_tracker`: each measures at every tick that is its turn, so its rate goes a whole number
+        of times into the loop's. `None`: the recording is without that channel.
+    - `realtime`: `False` runs as fast as it can, with the same recording on virtual devices.
+
+    **Raises:** `InputError` for arguments out of range; `DeviceError` from a device.
+    """
+    ticks = _ticks(duration, rate)
+    if not devices:
+        raise InputError("devices is empty; allowed: one device or more")
+    if pose_tracker is not None and not scene.moving():
+        raise InputError(
+            "pose_tracker is given, but no object of the scene has a body; allowed: no pose_tracker"
+        )
+    with ExitStack() as stack:
+        for device in devices:
+            stack.enter_context(device)
+        hip = np.stack([device.read() for device in devices])
+        packed = hapjax.pack(scene, hip, 1 / rate)
+        log = _Log(ticks, rate, packed, force_sensor, pose_tracker)
+        guard = ForceGuard(np.array([device.force_limit for device in devices]))
+        for _ in range(WARM_UP):
+            packed.force(packed.call(packed.start, hip.astype(packed.dtype)))
+        stack.enter_context(uncollected())
+        refused = stack.enter_context(undisturbed() if realtime else nullcontext([]))
+        stack.enter_context(_let_go(devices))
+        pacer = Pacer(round(1e9 / rate), MonotonicClock()) if realtime else None
+        _loop(packed, devices, guard, log, pacer)
+    missed = 0 if pacer is None else pacer.missed
+    recording = log.recording()
+    return ServoResult(
+        recording, log.lateness_us, log.compute_us, missed, guard.not_finite, guard.limited, tuple(refused)
+    )
+
+
+def _loop(packed: hapjax.PackedStep, devices, guard: ForceGuard, log: "_Log", pacer: Pacer | None) -> None:
+    memory, hip = packed.start, np.empty((packed.fingers, 3), packed.dtype)
+    output = np.empty((packed.fingers, 3))
+    for tick in range(len(log.hip)):
+        late = 0 if pacer is None else pacer.wait()
+        began = time.perf_counter_ns()
+        for finger, device in enumerate(devices):
+            hip[finger] = device.read()
+        memory = packed.call(memory, hip)
+        force = guard(packed.force(memory))
+        for finger, device in enumerate(devices):
+            output[finger] = device.write(force[finger])
+        log.add(tick, hip, output, memory)
+        log.lateness_us[tick] = late * 1e-3
+        log.compute_us[tick] = (time.perf_counter_ns() - began) * 1e-3
+
+
+@contextmanager
+def _let_go(devices: Sequence[Device]) -> Iterator[None]:
+    """Write no force to every device at the end of the block, to the others also where one fails."""
+    with ExitStack() as stack:
+        for device in devices:
+            stack.callback(device.write, np.zeros(3))
+        yield
+
+
+class _Log:
+    """The arrays of a recording, all made before the loop begins."""
+
+    def __init__(self, ticks, rate, packed: hapjax.PackedStep, force_sensor, pose_tracker):
+        self._rate = rate
+        self._force_sensor, self._pose_tracker = force_sensor, pose_tracker
+        self.hip = np.zeros((ticks, packed.fingers, 3))
+        self.lateness_us = np.zeros(ticks)
+        self.compute_us = np.zeros(ticks)
+        if force_sensor is not None:
+            self._force_every = _every("force_sensor", force_sensor.rate, rate)
+            self._force = np.zeros((-(-ticks // self._force_every), packed.fingers, 3))
+        if pose_tracker is not None:
+            self._pose_every = _every("pose_tracker", pose_tracker.rate, rate)
+            self._pose_at = _pose_places(packed)
+            self._pose = np.zeros((ticks // self._pose_every, *self._pose_at.shape))
+
+    def add(self, tick: int, hip, output, memory) -> None:
+        """Note what a tick got, put out and moved."""
+        self.hip[tick] = hip
+        if self._force_sensor is not None and tick % self._force_every == 0:
+            self._force[tick // self._force_every] = self._force_sensor.measure(output)
+        if self._pose_tracker is not None and (tick + 1) % self._pose_every == 0:
+            pose = np.asarray(memory)[self._pose_at]
+            self._pose[tick // self._pose_every] = self._pose_tracker.measure(pose)
+
+    def recording(self) -> Recording:
+        """What was logged."""
+        channels = {"hip": self.hip, "hip_t": np.arange(len(self.hip)) / self._rate}
+        if self._force_sensor is not None:
+            times = np.arange(len(self._force)) * self._force_every / self._rate
+            channels |= {"force": self._force, "force_t": times}
+        if self._pose_tracker is not None and len(self._pose):
+            times = np.arange(1, len(self._pose) + 1) * self._pose_every / self._rate
+            channels |= {"pose": self._pose, "pose_t": times}
+        return Recording(**channels)
+
+
+def _pose_places(packed: hapjax.PackedStep) -> np.ndarray:
+    """Where in the memory the numbers of each object's pose are, (O, 7)."""
+    # The memory's own places, taken apart as if they were a state. Unpacking itself is too slow for the loop.
+    places = packed.state(np.arange(len(packed.start)).astype(packed.dtype))
+    rows = [np.concatenate([m.position, m.orientation]) for m in places.motion.values()]
+    return np.stack(rows).astype(int)
+
+
+def _ticks(duration: float, rate: float) -> int:
+    if not 0 < rate < np.inf:
+        raise InputError(f"rate is {rate} Hz; allowed: above 0")
+    if not 1 <= duration * rate < 1e9:
+        raise InputError(f"duration is {duration} s; allowed: at least one period of {1 / rate:g} s, finite")
+    return round(duration * rate)
+
+
+def _every(name: str, sensor_rate: float, rate: float) -> int:
+    every = round(rate / sensor_rate)
+    if every < 1 or abs(every * sensor_rate - rate) > 1e-6 * rate:
+        raise InputError(
+            f"{name}'s rate is {sensor_rate} Hz; allowed: the loop's {rate} Hz divided by a whole number"
+        )
+    return every
+
+
+def _percentiles(values: Float[np.ndarray, "T"]) -> dict[str, float]:
+    p50, p99, p999 = np.percentile(values, [50, 99, 99.9]).tolist()
+    return {"p50": p50, "p99": p99, "p99.9": p999, "max": float(np.max(values))}

@@ -1,0 +1,92 @@
+"""A haptic device that is not there, with the faults of one that is."""
+
+from typing import Self
+
+import numpy as np
+from jaxtyping import Float
+
+from .device import DeviceClosed
+from .operator import Hand, Operator
+
+ENCODER_STEP = 3e-5  # m
+FORCE_LIMIT = 8.5  # N
+FORCE_STEP = FORCE_LIMIT / 4095  # N: a signed command of 13 bits
+
+
+class VirtualDevice:
+    """A device in the hand of an `Operator`; see `Device`.
+
+    Positions come in steps of `resolution` (m) and one sample late: what is read is what the encoders latched at the
+    sample before, as over a bus. Forces come in steps of `force_step` (N) an axis, and the norm is limited to
+    `force_limit` (N). Each write carries the hand on by one `period` (s).
+
+    **Arguments:** as for `Operator`: `path` (T, 3) m, `period` s, `hand`.
+    """
+
+    def __init__(
+        self,
+        path: Float[np.ndarray, "T 3"],
+        period: float = 1e-3,
+        hand: Hand | None = None,
+        resolution: float = ENCODER_STEP,
+        force_step: float = FORCE_STEP,
+        force_limit: float = FORCE_LIMIT,
+    ):
+        self.resolution, self.force_limit, self._force_step = resolution, force_limit, force_step
+        self._start = path, period, hand or Hand()
+        self._operator: Operator | None = None
+        self._latched = np.zeros(3)
+        self.output = np.zeros(3)
+        Operator(*self._start)  # refuses a bad path now rather than when the device is opened
+
+    @property
+    def operator(self) -> Operator:
+        """The hand that holds the device. **Raises:** `DeviceClosed` before `open` and after `close`."""
+        if self._operator is None:
+            raise DeviceClosed("the virtual device is not open")
+        return self._operator
+
+    def open(self) -> None:
+        """Put the hand at the start of its path; see `Device.open`."""
+        self._operator = Operator(*self._start)
+        self._latched = self._encode()
+        self.output = np.zeros(3)
+
+    def read(self) -> Float[np.ndarray, "3"]:
+        """The position at the sample before; see `Device.read`."""
+        if self._operator is None:
+            raise DeviceClosed("the virtual device is not open")
+        return self._latched
+
+    def write(self, force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        """Push the hand for one period; see `Device.write`."""
+        operator = self.operator
+        self.output = self._driven(np.asarray(force, np.float64))
+        self._latched = self._encode()
+        operator.advance(self.output)
+        return self.output
+
+    def close(self) -> None:
+        """Let go of the hand; see `Device.close`."""
+        self._operator = None
+        self.output = np.zeros(3)
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self.close()
+
+    def _encode(self) -> Float[np.ndarray, "3"]:
+        return np.rint(self.operator.position / self.resolution) * self.resolution
+
+    def _driven(self, force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        size = float(np.sqrt(force @ force))
+        if size > self.force_limit:
+            force = force * (self.force_limit / size)
+        steps = force / self._force_step
+        driven = np.rint(steps) * self._force_step
+        if driven @ driven > self.force_limit**2:  # rounded up over the limit
+            driven = np.trunc(steps) * self._force_step
+        return driven
