@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import tempfile
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ import tomli_w
 from .body import Body
 from .contact import Contact
 from .errors import InputError, within
+from .files import replacing
 from .grasp import GravityDrop
 from .integrate import METHODS
 from .scene import Object, Scene, World
@@ -38,17 +38,9 @@ def load_scene(path: str | os.PathLike) -> Scene:
 
 def save_scene(scene: Scene, path: str | os.PathLike) -> None:
     """Write a scene file, whole or not at all. `load_scene` gives the same numbers back, to the last bit."""
-    path = Path(path)
     text = tomli_w.dumps(scene_to_dict(scene))
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be written ({error.strerror}); allowed: a file in an existing folder"
-        ) from None
+    with replacing(path) as file:
+        file.write(text)
 
 
 def scene_from_dict(table: Mapping[str, Any]) -> Scene:

@@ -1,0 +1,5 @@
+"""Identification: friction, stiffness, torsional grip and inertia from recordings, with honest intervals."""
+
+from .fit import fit as fit
+from .result import Estimate as Estimate
+from .result import FitResult as FitResult

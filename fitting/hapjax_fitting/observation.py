@@ -1,0 +1,117 @@
+"""What a recording says about a scene: measured samples beside the model's, each channel at its own times."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from hapjax import InputError, Recording, Scene, init, rollout, rotation
+from jaxtyping import Array, Float, Int
+
+CHANNELS = ("force", "pose")
+
+
+class Samples(eqx.Module):
+    """Measured values, and where they lie among the model's steps: between `index` and the next by `weight`."""
+
+    value: Float[Array, "*r N n m"]
+    index: Int[Array, "*r N"]
+    weight: Float[Array, "*r N"]
+
+    def between(self, series: Float[Array, "T n m"]) -> Float[Array, "N n m"]:
+        """The model's series at the measurement's times, linearly interpolated."""
+        weight = self.weight[:, None, None]
+        return (1 - weight) * series[self.index] + weight * series[self.index + 1]
+
+
+class Observation(eqx.Module):
+    """One recording, ready to be compared: the fingers' path on the model's time grid and the measured samples.
+
+    `hips` (T, F, 3) m at intervals of the integrator's dt; `force` (N, F, 3) N; `pose` (N, O, 7).
+    """
+
+    hips: Float[Array, "*r T F 3"]
+    force: Samples | None
+    pose: Samples | None
+
+
+class Noise(eqx.Module):
+    """Standard deviations of the measurements: `force` N, `position` m, `angle` rad."""
+
+    force: Float[Array, ""]
+    position: Float[Array, ""]
+    angle: Float[Array, ""]
+
+
+def observation_of(scene: Scene, recording: Recording, channels: tuple[str, ...], name: str) -> Observation:
+    """Lay a recording on the scene's time grid. **Raises:** `InputError` where the two do not belong together."""
+    if recording.hip is None or recording.hip_t is None:
+        raise InputError(f"{name}: hip was not recorded; allowed: a recording with the fingers' positions")
+    if len(recording.hip_t) < 2:
+        raise InputError(f"{name}: hip has {len(recording.hip_t)} sample; allowed: at least 2")
+    dtype, dt = scene.integrator.dt.dtype, float(scene.integrator.dt)
+    start, hips = _on_grid(recording.hip_t, recording.hip, dt)
+    force = pose = None
+    if "force" in channels and recording.force is not None and recording.force_t is not None:
+        force = _samples(recording.force_t, recording.force, start, dt, len(hips), dtype, f"{name}: force")
+    if "pose" in channels and recording.pose is not None and recording.pose_t is not None:
+        objects = scene.moving()
+        if recording.pose.shape[1] != len(objects):
+            raise InputError(
+                f"{name}: pose has {recording.pose.shape[1]} objects; allowed: {len(objects)}, as many as move in the scene"
+            )
+        pose = _samples(recording.pose_t, recording.pose, start, dt, len(hips) + 1, dtype, f"{name}: pose")
+    return Observation(jnp.asarray(hips, dtype), force, pose)
+
+
+def residuals(scene: Scene, observation: Observation, noise: Noise) -> dict[str, Float[Array, " n"]]:
+    """Predicted minus measured over the noise, one vector for each of `force`, `position`, `angle`.
+
+    A step's forces belong to the time of its HIP, its poses to the end of the step. What the model cannot follow
+    (overflow at absurd parameters) counts as a million standard deviations.
+    """
+    state = init(scene, observation.hips[0])
+    _, reply = rollout(scene, state, observation.hips)
+    found = {}
+    if observation.force is not None:
+        found["force"] = (observation.force.between(reply.force) - observation.force.value) / noise.force
+    if observation.pose is not None:
+        first = jnp.stack([jnp.concatenate([m.position, m.orientation]) for m in state.motion.values()])
+        pose = observation.pose.between(jnp.concatenate([first[None], reply.pose]))
+        measured = observation.pose.value
+        found["position"] = (pose[..., :3] - measured[..., :3]) / noise.position
+        found["angle"] = _turn_between(measured[..., 3:], pose[..., 3:]) / noise.angle
+    return {key: jnp.where(jnp.abs(r) < 1e6, r, 1e6).ravel() for key, r in found.items()}
+
+
+def _turn_between(first: Float[Array, "N O 4"], second: Float[Array, "N O 4"]) -> Float[Array, "N O 3"]:
+    """The rotation vector (rad) from one orientation to the other, in the first one's frame."""
+
+    def one(p, q):
+        return rotation.to_rotation_vector(rotation.product(rotation.conjugate(p), rotation.normalise(q)))
+
+    return jax.vmap(jax.vmap(one))(first, second)
+
+
+def _on_grid(times: np.ndarray, hip: np.ndarray, dt: float) -> tuple[float, np.ndarray]:
+    """The fingers' path at intervals of dt: as recorded if it has them, else interpolated."""
+    if np.allclose(np.diff(times), dt, rtol=0, atol=1e-3 * dt):
+        return float(times[0]), hip
+    steps = int(np.floor((times[-1] - times[0]) / dt + 1e-6)) + 1
+    grid = times[0] + dt * np.arange(steps)
+    flat = hip.reshape(len(times), -1)
+    return float(times[0]), np.stack([np.interp(grid, times, c) for c in flat.T], axis=-1).reshape(
+        steps, *hip.shape[1:]
+    )
+
+
+def _samples(times, values, start: float, dt: float, length: int, dtype, name: str) -> Samples:
+    place = (times - start) / dt
+    inside = (place >= -1e-6) & (place <= length - 1 + 1e-6)
+    if not inside.any():
+        raise InputError(
+            f"{name}_t runs from {times[0]:g} to {times[-1]:g} s; allowed: times within those of hip, "
+            f"{start:g} to {start + dt * (length - 1):g} s"
+        )
+    place = np.clip(place[inside], 0, length - 1)
+    index = np.minimum(np.floor(place).astype(np.int32), length - 2)
+    return Samples(jnp.asarray(values[inside], dtype), jnp.asarray(index), jnp.asarray(place - index, dtype))

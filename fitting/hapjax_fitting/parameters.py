@@ -1,0 +1,179 @@
+"""Free parameters: leaves of a scene, named by the path they have in the scene file."""
+
+import dataclasses
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from hapjax import InputError, Object, Scene
+from jaxtyping import Array, Float
+
+from .transform import Identity, Log, Logit, Transform
+
+Selector = Sequence[str] | Callable[[Scene], Any]
+
+# What can be below zero; every other number of a scene is a positive one and is fitted through its logarithm.
+_SIGNED = ("position", "orientation", "centre", "gravity")
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """One free number: its path, its place in the leaf (`None`: the leaf is one number), and its transform."""
+
+    path: str
+    index: int | None
+    transform: Transform
+
+    @property
+    def name(self) -> str:
+        """The path, with the place in brackets where the leaf has several numbers."""
+        return self.path if self.index is None else f"{self.path}[{self.index}]"
+
+
+def find_leaf(scene: Scene, path: str) -> Float[Array, "*shape"]:
+    """The leaf with a path such as `object.cube.surface.mu`. **Raises:** `InputError` where there is none."""
+    node = _walk(scene, path)
+    if not eqx.is_array(node):
+        raise InputError(
+            f"{path} is a part of the scene, not a number; allowed: {_continuations(node, path.split('.'))}"
+        )
+    return node
+
+
+def _walk(scene: Scene, path: str) -> Any:
+    node: Any = scene
+    walked: list[str] = []
+    for name in path.split("."):
+        node = _child(node, name, walked, path)
+        walked.append(name)
+    return node
+
+
+def free_parameters(
+    scene: Scene, free: Selector, bounds: Mapping[str, tuple[float, float]] | None = None
+) -> tuple[Parameter, ...]:
+    """The free numbers that paths, or a function from the scene to its leaves, select, in their order.
+
+    A number with `bounds` is fitted through a scaled logit, others through the logarithm, positions and directions as
+    they are. **Raises:** `InputError` for unknown paths, repeated ones, and starting values outside their transform.
+    """
+    paths = _selected_paths(scene, free) if callable(free) else list(free)
+    if not paths:
+        raise InputError("free is empty; allowed: at least one parameter's path")
+    parameters: list[Parameter] = []
+    for given in paths:
+        parameters += _expand(scene, given, bounds or {})
+    names = [p.name for p in parameters]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"free names {name} twice; allowed: each parameter once")
+    for name in bounds or {}:
+        if not any(name in (p.name, p.path) for p in parameters):
+            raise InputError(f"bounds names {name}, which is not free; allowed: {', '.join(names)}")
+    for parameter, value in zip(parameters, values_of(scene, tuple(parameters)), strict=True):
+        parameter.transform.check(parameter.name, float(value))
+    return tuple(parameters)
+
+
+def values_of(scene: Scene, parameters: tuple[Parameter, ...]) -> Float[Array, "p"]:
+    """The parameters' values in a scene."""
+    leaves = [find_leaf(scene, p.path) for p in parameters]
+    return jnp.stack([x if p.index is None else x[p.index] for x, p in zip(leaves, parameters, strict=True)])
+
+
+def with_values(scene: Scene, parameters: tuple[Parameter, ...], values: Float[Array, "p"]) -> Scene:
+    """The scene with other values of its parameters."""
+    leaves = {p.path: find_leaf(scene, p.path) for p in parameters}
+    for i, p in enumerate(parameters):
+        leaves[p.path] = values[i] if p.index is None else leaves[p.path].at[p.index].set(values[i])
+    return eqx.tree_at(lambda s: [_walk(s, path) for path in leaves], scene, list(leaves.values()))
+
+
+def _expand(scene: Scene, given: str, bounds: Mapping[str, tuple[float, float]]) -> list[Parameter]:
+    match = re.fullmatch(r"(.*)\[(\d+)\]", given)
+    path = match.group(1) if match else given
+    shape = find_leaf(scene, path).shape
+    if len(shape) > 1:
+        raise InputError(
+            f"{path} is a matrix; allowed: numbers and lists (give the inertia as three principal moments)"
+        )
+    if match and (len(shape) == 0 or int(match.group(2)) >= shape[0]):
+        raise InputError(f"{given} is out of range; allowed: {_names(path, shape)}")
+    indices: list[int | None] = (
+        [int(match.group(2))] if match else (list(range(shape[0])) if shape else [None])
+    )
+    return [Parameter(path, i, _transform(path, i, bounds)) for i in indices]
+
+
+def _names(path: str, shape: tuple[int, ...]) -> str:
+    return f"{path}[0] to [{shape[0] - 1}]" if shape else path
+
+
+def _transform(path: str, index: int | None, bounds: Mapping[str, tuple[float, float]]) -> Transform:
+    limits = bounds.get(f"{path}[{index}]", bounds.get(path))
+    if limits is not None:
+        low, high = (float(x) for x in limits)
+        if not (np.isfinite(low) and np.isfinite(high) and low < high):
+            raise InputError(
+                f"bounds of {path} are {low} and {high}; allowed: two finite numbers, the lower first"
+            )
+        return Logit(low, high)
+    return Identity() if path.rsplit(".", 1)[-1] in _SIGNED else Log()
+
+
+def _child(node: Any, name: str, walked: list[str], path: str) -> Any:
+    parts = _parts(node)
+    if name not in parts:
+        where = ".".join(walked) or "the scene"
+        raise InputError(
+            f"{path}: {where} has no {name or 'part without a name'}; allowed: {_continuations(node, walked)}"
+        )
+    if parts[name] is None:
+        raise InputError(
+            f"{path}: this scene leaves out {'.'.join([*walked, name])}; allowed: what the scene has"
+        )
+    return parts[name]
+
+
+def _parts(node: Any) -> dict[str, Any]:
+    """What a path can go on with; an object's shape lends it its numbers, as in the scene file."""
+    if isinstance(node, Mapping):
+        return dict(node)
+    if not dataclasses.is_dataclass(node):
+        return {}
+    parts = {f.name: getattr(node, f.name) for f in dataclasses.fields(node)}
+    return parts | _parts(parts.pop("shape")) if isinstance(node, Object) else parts
+
+
+def _continuations(node: Any, walked: list[str]) -> str:
+    names = [name for name, part in _parts(node).items() if jax.tree.leaves(eqx.filter(part, eqx.is_array))]
+    return ", ".join(".".join([*walked, n]) for n in names) or "a path to a number"
+
+
+def _selected_paths(scene: Scene, select: Callable[[Scene], Any]) -> list[str]:
+    """The paths of the leaves that a function picks: it is given the scene with each leaf replaced by its path."""
+    leaves, structure = jax.tree_util.tree_flatten_with_path(scene)
+    marks = [_Mark(_path_name(keys)) for keys, _ in leaves]
+    picked = jax.tree.leaves(
+        select(jax.tree.unflatten(structure, marks)), is_leaf=lambda x: isinstance(x, _Mark)
+    )
+    for mark in picked:
+        if not isinstance(mark, _Mark):
+            raise InputError(
+                f"free selects {mark!r}; allowed: leaves of the scene, such as s.object['cube'].surface.mu"
+            )
+    return [mark.path for mark in picked]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Mark:
+    path: str
+
+
+def _path_name(keys: tuple[Any, ...]) -> str:
+    names = [str(k.key) if isinstance(k, jax.tree_util.DictKey) else str(getattr(k, "name", k)) for k in keys]
+    return ".".join(n for i, n in enumerate(names) if not (i == 2 and names[0] == "object" and n == "shape"))

@@ -1,0 +1,83 @@
+"""What a fit returns, and its forms for programs."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from hapjax import Recording, Scene
+from hapjax.files import replacing
+
+from .uncertainty import correlation
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter in its own unit.
+
+    Where it is not `identified`, there is no estimate and no standard error; `interval95` then holds a lower bound
+    where the data give one (a mu is at least the largest |f_t| / f_n seen), else `None`.
+    """
+
+    estimate: float | None
+    standard_error: float | None
+    interval95: tuple[float | None, float | None]
+    identified: bool
+    interval99: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """The outcome of a fit.
+
+    `parameters` by path; `scene` with the best values; `loss`, half the sum of squared whitened residuals;
+    `residual_rms` in N (`force`), m (`pose`) and rad (`angle`); `converged`: whether the solver met its tolerances, which
+    is no evidence of a good fit: compare `starts_at_best` of `starts`; `trace`: each start's loss by step.
+    """
+
+    parameters: Mapping[str, Estimate]
+    scene: Scene
+    loss: float
+    residual_rms: Mapping[str, float]
+    converged: bool
+    starts: int
+    starts_at_best: int
+    wall_s: float
+    covariance: np.ndarray
+    singular_values: np.ndarray
+    trace: Mapping[int, Mapping[int, float]]
+    recordings: tuple[Recording, ...]
+    names: tuple[str, ...]
+
+    @property
+    def correlation(self) -> np.ndarray:
+        """Correlations of the parameters, as the solver sees them, in the order of `parameters`."""
+        return correlation(self.covariance)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures, ready for JSON."""
+        return {
+            "parameters": {
+                name: {
+                    "estimate": p.estimate,
+                    "standard_error": p.standard_error,
+                    "interval95": list(p.interval95),
+                    "identified": p.identified,
+                }
+                for name, p in self.parameters.items()
+            },
+            "loss": self.loss,
+            "residual_rms": dict(self.residual_rms),
+            "converged": self.converged,
+            "starts": self.starts,
+            "starts_at_best": self.starts_at_best,
+            "wall_s": self.wall_s,
+        }
+
+    def save_json(self, path: str | os.PathLike) -> None:
+        """Write the figures as JSON, whole or not at all."""
+        with replacing(path) as file:
+            json.dump(self.to_dict(), file, indent=2, allow_nan=False)
+            file.write("\n")

@@ -1,0 +1,58 @@
+"""How well the data fix each parameter: covariance, intervals, and what they cannot tell."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """What the whitened Jacobian says of the free numbers.
+
+    `covariance` (p, p) of the unconstrained numbers; `identified` (p,): whether the data fix each;
+    `singular_values` (p,) of the Jacobian with its columns scaled to length 1, largest first.
+    """
+
+    covariance: np.ndarray
+    identified: np.ndarray
+    singular_values: np.ndarray
+
+
+def certainty(
+    jacobian: np.ndarray, variance: np.ndarray, widest: np.ndarray, usable: np.ndarray
+) -> Certainty:
+    """Gauss-Newton covariance (J'J)^-1 J'VJ (J'J)^-1 of a least-squares estimate.
+
+    **Arguments:** `jacobian` (n, p) of the residuals in the units they were fitted in; `variance` (n,), V's diagonal:
+    what the residuals' variances turned out to be in those units (1: as assumed); `widest` (p,), the standard errors
+    from which on a number counts as not identified; `usable` (p,): `False` for numbers known not to be identified.
+
+    A direction is lost where its singular value is below the square root of the rounding error relative to the
+    largest: there the Jacobian holds nothing but rounding. A number that has a part in a lost direction is not
+    identified; the others keep their covariance.
+    """
+    length = np.sqrt(np.sum(jacobian**2, axis=0))
+    usable = usable & (length > np.sqrt(np.finfo(jacobian.dtype).eps) * length.max(initial=0)) & (length > 0)
+    count = jacobian.shape[1]
+    covariance, identified = np.zeros((count, count)), usable.copy()
+    if not usable.any():
+        return Certainty(covariance, identified, np.zeros(count))
+    scaled = (jacobian[:, usable] / length[usable]).astype(np.float64)
+    left, values, right = np.linalg.svd(scaled, full_matrices=False)
+    kept = values > np.sqrt(np.finfo(jacobian.dtype).eps) * values[0]
+    lost_part = np.sum(right[~kept] ** 2, axis=0)
+    inverse = right[kept].T / values[kept]
+    middle = (left[:, kept] * variance[:, None]).T @ left[:, kept]
+    part = inverse @ middle @ inverse.T / np.outer(length[usable], length[usable])
+    covariance[np.ix_(usable, usable)] = part
+    identified[usable] = (lost_part < 1e-6) & (np.sqrt(np.diag(part)) < widest[usable])
+    all_values = np.zeros(count)
+    all_values[: len(values)] = values
+    return Certainty(covariance, identified, all_values)
+
+
+def correlation(covariance: np.ndarray) -> np.ndarray:
+    """The correlations of a covariance; 0 where a variance is 0."""
+    deviation = np.sqrt(np.diag(covariance))
+    product = np.outer(deviation, deviation)
+    return np.divide(covariance, product, out=np.zeros_like(covariance), where=product > 0)
