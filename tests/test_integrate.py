@@ -1,0 +1,137 @@
+"""Convergence of the integrators at their order, against solutions that do not come from them."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import G, angle_between, at_rest, away, matrix, moving, order, quaternion
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import hapjax
+
+METHODS = [hapjax.SemiImplicit, hapjax.SemiImplicitMatrix]
+STEPS = [2e-3, 1e-3, 5e-4, 2.5e-4]
+FINGER = hapjax.Surface(800.0, mu=2.0)
+
+
+def brick(body, method=hapjax.SemiImplicit, world=None, **place):
+    thing = hapjax.Object(hapjax.Box((0.06, 0.04, 0.08)), FINGER, body, **place)
+    return hapjax.Scene(object={"it": thing}, world=world or hapjax.World(), integrator=method())
+
+
+@jax.jit
+def final(scene, state, steps, dt, hip):
+    """The motion after a number of steps with the fingers at rest."""
+    return jax.lax.fori_loop(0, steps, lambda _, s: hapjax.step(scene, s, hip, dt)[0], state).motion["it"]
+
+
+def run(scene, seconds, dt, hip=None, **start):
+    hip = away(1)[0] if hip is None else jnp.asarray(hip)
+    return final(
+        scene, moving(hapjax.init(scene, hip), "it", **start), round(seconds / dt), jnp.asarray(dt), hip
+    )
+
+
+# Free fall ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_free_fall(method):
+    scene = brick(hapjax.Body(0.2), method, hapjax.World(gravity=(0, 0, -G)))
+    start, velocity = np.zeros(3), np.array([0.3, -0.1, 2.0])
+    truth = start + velocity * 0.5 + 0.5 * np.array([0, 0, -G]) * 0.25
+    ends = [run(scene, 0.5, dt, velocity=velocity) for dt in STEPS]
+    assert ends[-1].velocity == pytest.approx(velocity - [0, 0, G * 0.5], abs=1e-12)
+    assert order(STEPS, [np.linalg.norm(e.position - truth) for e in ends]) == pytest.approx(1, abs=1e-3)
+
+
+# A torque-free top ----------------------------------------------------------------------------------------
+
+SPIN = np.array([0.5, 6.0, 0.3])  # nearly about the middle axis: the hardest case
+PLACE = dict(position=(0.1, 0.2, 0.3), orientation=quaternion((1, 1, 0), 0.7))
+CENTRE = np.array([0.012, -0.02, 0.007])
+
+
+@functools.cache
+def top_truth(seconds):
+    """Orientation and spin by Dormand-Prince of order 8, from L = R J R' w that does not change."""
+    inertia, start = np.array([1.0, 2.0, 3.0]) * 1e-4, np.array(PLACE["orientation"])
+    momentum = matrix(start) @ (inertia * (matrix(start).T @ SPIN))
+
+    def spin_of(q):
+        turn = Rotation.from_quat(q, scalar_first=True).as_matrix()
+        return turn @ ((turn.T @ momentum) / inertia)
+
+    def rate(_, q):
+        w, x, y, z = q
+        left = np.array([[-x, -y, -z], [w, z, -y], [-z, w, x], [y, -x, w]])
+        return 0.5 * left @ spin_of(q)
+
+    q = solve_ivp(rate, (0, seconds), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    return q, spin_of(q), momentum
+
+
+def top(method, gyroscopic=True):
+    body = hapjax.Body(0.2, inertia=np.array([1.0, 2.0, 3.0]) * 1e-4, centre=CENTRE)
+    return brick(body, method, hapjax.World(gyroscopic=gyroscopic), **PLACE)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_torque_free_top(method):
+    orientation, spin, _ = top_truth(1.0)
+    ends = [run(top(method), 1.0, dt, spin=SPIN) for dt in STEPS]
+    turned = [angle_between(e.orientation, orientation) for e in ends]
+    assert order(STEPS, turned) == pytest.approx(1, abs=0.1) and turned[-1] < 0.02
+    assert order(STEPS, [np.linalg.norm(e.spin - spin) for e in ends]) == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_centre_of_mass_goes_straight_on_while_the_body_turns(method):
+    velocity = np.array([0.2, 0.0, -0.1])
+    end = run(top(method), 1.0, 1e-3, spin=SPIN, velocity=velocity)
+    centre = PLACE["position"] + matrix(PLACE["orientation"]) @ CENTRE + velocity
+    assert end.position + matrix(end.orientation) @ CENTRE == pytest.approx(centre, abs=1e-12)
+    assert np.linalg.norm(end.orientation) == pytest.approx(1, abs=1e-14)
+
+
+def test_without_the_gyroscopic_term_the_spin_stays():
+    truth = Rotation.from_rotvec(SPIN) * Rotation.from_quat(PLACE["orientation"], scalar_first=True)
+    ends = [run(top(hapjax.SemiImplicit, False), 1.0, dt, spin=SPIN) for dt in STEPS]
+    for end in ends:  # the exponential map is exact for a constant spin
+        assert np.array_equal(end.spin, SPIN)
+        assert angle_between(end.orientation, truth.as_quat(scalar_first=True)) < 1e-11
+    ends = [run(top(hapjax.SemiImplicitMatrix, False), 1.0, dt, spin=SPIN) for dt in STEPS]
+    errors = [angle_between(e.orientation, truth.as_quat(scalar_first=True)) for e in ends]
+    assert order(STEPS, errors) == pytest.approx(1, abs=0.1)
+
+
+# A body held by springs -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_body_held_by_two_fingers_swings_as_on_springs(method):
+    # Two fingers 2 mm deep in opposite faces that do not slip: a spring of 2 k along and across their line.
+    mass, hip = 0.2, [[0.028, 0, 0], [-0.028, 0, 0]]
+    rate, seconds = np.sqrt(2 * 800 / mass), 0.25
+    for gravity, start in (([0, 0, 0], [0.1, 0, 0]), ([0, 0, -0.5], [0, 0.05, 0])):
+        scene = brick(hapjax.Body(mass), method, hapjax.World(gravity=gravity))
+        angle, start, gravity = rate * seconds, np.array(start), np.array(gravity)
+        place = start / rate * np.sin(angle) + gravity / rate**2 * (1 - np.cos(angle))
+        speed = start * np.cos(angle) + gravity / rate * np.sin(angle)
+        ends = [run(scene, seconds, dt, hip, velocity=start) for dt in STEPS]
+        errors = [np.hypot(*(e.position - place, (e.velocity - speed) / rate)).max() for e in ends]
+        assert order(STEPS, errors) == pytest.approx(1, abs=0.1) and errors[-1] < 2e-5
+        assert ends[-1].orientation == pytest.approx(np.array([1, 0, 0, 0]), abs=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_precision_is_kept(method, dtype):
+    body = hapjax.Body(0.2, inertia=np.array([1.0, 2.0, 3.0]) * 1e-4, centre=CENTRE)
+    scene = hapjax.cast(brick(body, method, hapjax.World(gyroscopic=True, gravity=(0, 0, -G))), dtype)
+    state = moving(hapjax.init(scene, np.full((1, 3), 9.0)), "it", spin=SPIN)
+    end, replies = hapjax.rollout(scene, state, at_rest(np.full((1, 3), 9.0, dtype), 50))
+    assert {x.dtype for x in jax.tree.leaves((end, replies))} == {dtype}
+    assert end.motion["it"].velocity == pytest.approx(np.array([0, 0, -G * 0.05]), rel=1e-5)
