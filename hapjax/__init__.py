@@ -8,6 +8,7 @@ from .integrate import SemiImplicit as SemiImplicit
 from .integrate import SemiImplicitMatrix as SemiImplicitMatrix
 from .packed import PackedStep as PackedStep
 from .packed import pack as pack
+from .prescribed import drag as drag
 from .recording import Recording as Recording
 from .scene import Object as Object
 from .scene import Scene as Scene
