@@ -52,62 +52,56 @@ def scene() -> Scene:
 def three_finger_lift(seed: int, rate: float = 1000.0) -> Task:
     """Stroke the cube's top with three fingers, grip it between two and one, lift, shake and put it down.
 
-    The strokes press with 1 to 2 N and slide 30 mm, so friction shows whatever one guesses of mu; neighbours go
-    opposite ways, so that the cube stays put. The shaking turns and moves the cube along every axis at
-    frequencies of its own, so mass and all moments of inertia show.
+    The strokes press with 1 to 2 N and slide 30 mm, so friction shows whatever one guesses of mu; the
+    middle one goes against the outer ones, so that the cube stays put. The shaking grows slowly, and moves
+    and turns the cube along every axis at a frequency of its own, so mass and all moments of inertia show.
 
     **Arguments:** `seed` of the sensors' noise; `rate` of the servo loop, Hz.
     """
-    duration = 8.5
+    duration = 6.5
     t = np.arange(round(duration * rate)) / rate
-    stroke, above = _strokes(t), np.array([[-0.016, 0, 0.085], [0.016, 0, 0.085], [0, 0, 0.085]])
-    del above
     spots = np.array([[-0.03, -0.018, 0.0], [-0.03, 0.018, 0.0], [0.03, 0.0, 0.0]])
-    inward = np.array([[1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]])
-    share = np.array([0.5, 0.5, 1.0])
-    away = np.array([2.3, 3.0, 3.4, 8.0, 8.4])
-    grip = waypoints([3.0, 3.4, 7.7, 8.0], [0.0, 6.0, 6.0, 0.0], t)
-    gap = waypoints(away, [0.02, 0.02, 0.0, 0.0, 0.02], t)
-    height = waypoints([3.6, 4.3, 6.9, 7.6], [0.0, 0.05, 0.05, 0.0], t)
-    shake = waypoints([4.3, 4.6, 6.5, 6.8], [0.0, 1.0, 1.0, 0.0], t)[:, None]
+    inward = np.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+    grip = waypoints([2.2, 2.6, 5.9, 6.2], [0.0, 7.0, 7.0, 0.0], t)
+    gap = waypoints([1.9, 2.2, 6.1, 6.4], [0.02, 0.0, 0.0, 0.02], t)
+    shake = waypoints([2.9, 4.4, 4.9, 5.2], [0.0, 1.0, 1.0, 0.0], t)[:, None]
     move = shake * _waves(t, frequency=(3.1, 2.3, 3.7), size=(0.008, 0.008, 0.006))
-    move[:, 2] += height + SIDE / 2
-    turn = shake * _waves(t, frequency=(4.3, 5.3, 4.7), size=np.radians((8.0, 8.0, 8.0)))
+    move[:, 2] += SIDE / 2 + waypoints([2.7, 3.3, 5.2, 5.8], [0.0, 0.05, 0.05, 0.0], t)
+    turn = shake * _waves(t, frequency=(4.3, 5.3, 4.7), size=np.radians((7.0, 8.0, 8.0)))
+    # From the strokes to the sides, outwards before downwards: never through the cube.
+    over = waypoints([1.2, 1.7], [0.0, 1.0], t)[:, None]
+    down = np.array([0.0, 0.0, 1.0]) * waypoints([1.6, 2.0], [0.055, 0.0], t)[:, None]
     paths = []
-    for finger in range(3):
-        held = _hold(spots[finger], inward[finger], share[finger] * grip, gap)
-        held = move + _turned(turn, held)
-        blend = waypoints([2.0, 2.7], [0.0, 1.0], t)[:, None]
-        # outwards before down: the passage keeps above the cube until it is beside it
-        side = held.copy()
-        side[:, 2] += waypoints([2.5, 3.0], [0.055, 0.0], t)
-        paths.append((1 - blend) * stroke[finger] + blend * side)
+    for stroke, spot, way, share in zip(_strokes(t), spots, inward, (0.5, 0.5, 1.0), strict=True):
+        held = move + _turned(turn, _hold(spot, way, share * grip, gap))
+        paths.append((1 - over) * stroke + over * (held + down))
     return _task(paths, seed, rate, duration)
 
 
 def two_finger_swing(seed: int, rate: float = 1000.0) -> Task:
-    """Grip the cube off its centre between two fingers, lift it, and let it swing about the line through them.
+    """Grip the cube off its centre with two fingers, lift it, and let it swing about the line through them.
 
-    Gripped hard its friction circles exceed A_crit and it keeps its attitude; gripped softer it drops and swings, more
-    freely the softer the grip.
+    Gripped hard, its friction circles exceed A_crit and it keeps its attitude; gripped softer, it drops and
+    swings, the more freely the softer. The lift is low: a cube that slips in a wrong guess lands before the
+    fingers lose it.
 
     **Arguments:** as for `three_finger_lift`.
     """
-    duration = 8.0
+    duration = 6.5
     t = np.arange(round(duration * rate)) / rate
-    spots = np.array([[-0.03, 0.005, 0.01], [0.03, 0.005, 0.01]])
-    inward = np.array([[1.0, 0, 0], [-1.0, 0, 0]])
-    gap = waypoints([0.2, 0.6], [0.01, 0.0], t)
+    gap = waypoints([0.1, 0.4], [0.01, 0.0], t)
     grip = waypoints(
-        [0.6, 1.0, 1.9, 2.2, 4.2, 4.5, 6.0, 6.3, 7.2, 7.5],
-        [0, 4.2, 4.2, 2.6, 2.6, 2.15, 2.15, 3.0, 3.0, 4.2],
+        [0.4, 0.8, 1.5, 1.8, 3.3, 3.5, 4.7, 5.0, 5.7, 6.0],
+        [0.0, 4.2, 4.2, 2.6, 2.6, 2.2, 2.2, 3.0, 3.0, 4.2],
         t,
     )
-    move = np.zeros((len(t), 3))
-    move[:, 2] = SIDE / 2 + waypoints([1.0, 1.7], [0.0, 0.02], t)
-    shake = waypoints([3.2, 3.5, 6.8, 7.1], [0.0, 1.0, 1.0, 0.0], t)
-    move[:, 1] = shake * 0.008 * np.sin(2 * np.pi * 1.5 * t)
-    paths = [move + _hold(spots[i], inward[i], grip, gap) for i in range(2)]
+    shake = waypoints([2.6, 2.9, 5.3, 5.6], [0.0, 1.0, 1.0, 0.0], t)[:, None]
+    move = shake * _waves(t, frequency=(0.0, 1.5, 0.0), size=(0.0, 0.008, 0.0))
+    move[:, 2] += SIDE / 2 + waypoints([0.8, 1.4], [0.0, 0.02], t)
+    paths = []
+    for side in (-1.0, 1.0):
+        spot, inward = np.array([side * SIDE / 2, 0.005, 0.01]), np.array([-side, 0.0, 0.0])
+        paths.append(move + _hold(spot, inward, grip, gap))
     return _task(paths, seed, rate, duration)
 
 
@@ -118,9 +112,9 @@ def _task(paths: list[np.ndarray], seed: int, rate: float, duration: float) -> T
 
 def _strokes(t: Float[np.ndarray, "T"]) -> list[Float[np.ndarray, "T 3"]]:
     """Three fingers that press on the cube's top and rub to and fro along lanes of their own."""
-    along = waypoints([0.4, 0.9, 1.4, 1.8], [-0.015, 0.015, -0.015, 0.015], t)
-    press = waypoints([0.0, 0.35, 0.9, 1.4, 1.8, 2.0], [0.0, 1.2, 2.0, 1.2, 1.8, 0.0], t)
-    gap = waypoints([0.0, 0.2, 1.9, 2.1, 2.3], [0.01, 0.0, 0.0, 0.01, 0.025], t)
+    along = waypoints([0.35, 0.75, 1.15], [-0.015, 0.015, -0.015], t)
+    press = waypoints([0.0, 0.3, 0.75, 1.15, 1.3], [0.0, 1.2, 2.0, 1.4, 0.0], t)
+    gap = waypoints([0.0, 0.2, 1.15, 1.35], [0.01, 0.0, 0.0, 0.025], t)
     paths = []
     for lane, way in ((-0.017, 1.0), (0.017, 1.0), (0.0, -1.0)):
         spot = np.stack([np.full_like(t, lane), way * along, np.full_like(t, SIDE)], axis=1)
@@ -129,7 +123,7 @@ def _strokes(t: Float[np.ndarray, "T"]) -> list[Float[np.ndarray, "T 3"]]:
 
 
 def _hold(spot, inward, force, gap) -> Float[np.ndarray, "T 3"]:
-    """Where a hand wants to be so as to press with `force` (N) on `spot`, or to stay `gap` (m) away from it."""
+    """Where a hand wants to be to press on `spot` with `force` (N), or to stay `gap` (m) away from it."""
     depth = force / STIFFNESS + force / HAND.stiffness - gap
     return spot + depth[:, None] * inward
 

@@ -18,8 +18,8 @@ class DeviceClosed(DeviceError):
 class Device(Protocol):
     """One fingertip. Everything is in SI units and in the world frame (z up).
 
-    `with device:` opens it and closes it again. A device says of itself: `force_limit`, the largest norm of a force
-    that it takes, N; `resolution`, the step of its positions, m.
+    `with device:` opens it and closes it again. A device says of itself: `force_limit`, the largest norm of a
+    force that it takes, N; `resolution`, the step of its positions, m.
     """
 
     force_limit: float

@@ -29,8 +29,8 @@ class Hand:
     def transition(self, period: float) -> Float[np.ndarray, "2 2"]:
         """What becomes of (offset, velocity) from the spring's end in `period` seconds without a force.
 
-        The exponential of the period times [[0, 1], [-k/m, -c/m]] in closed form: with s = c / 2m and
-        w^2 = s^2 - k/m it is exp(-s t) (cosh(w t) I + sinh(w t) / w (A + s I)); w is imaginary below critical damping.
+        The exponential of t A, A = [[0, 1], [-k/m, -c/m]], in closed form: with s = c / 2m and w^2 = s^2 -
+        k/m it is exp(-s t) (cosh(w t) I + sinh(w t) / w (A + s I)); w is imaginary below critical damping.
         """
         c = 2 * np.sqrt(self.stiffness * self.mass) if self.damping is None else self.damping
         decay = c / (2 * self.mass)
@@ -45,11 +45,11 @@ class Hand:
 class Operator:
     """A hand that follows a path and yields to forces: m x'' = k (p - x) + c (p' - x') + f.
 
-    Exact for a force that is constant and a path that is straight between samples, so stable for any period. Time is
-    counted in samples, never taken from a clock: the same script gives the same motion.
+    Exact for a force that is constant and a path that is straight between samples, so stable for any
+    period. Time is counted in samples, never taken from a clock: the same script gives the same motion.
 
-    **Arguments:** `path` (T, 3) m, where the hand wants to be at each sample, held at its last row afterwards;
-    `period` s between samples, above 0.
+    **Arguments:** `path` (T, 3) m, where the hand wants to be at each sample, its last row from then on;
+    `period` in s between samples, above 0.
     """
 
     def __init__(self, path: Float[np.ndarray, "T 3"], period: float, hand: Hand):
@@ -85,11 +85,11 @@ def waypoints(
 ) -> Float[np.ndarray, "T ..."]:
     """Smooth passage from value to value: at rest at each of `times` (s), and of least jerk in between.
 
-    The least jerk from rest to rest is the quintic 10 u^3 - 15 u^4 + 6 u^5 (Flash and Hogan 1985, equation 3). Before
-    the first time and after the last, their values hold.
+    The least jerk from rest to rest is the quintic 10 u^3 - 15 u^4 + 6 u^5 (Flash and Hogan 1985). Before the
+    first time and after the last, their values hold.
 
-    **Arguments:** `times`, increasing, one for each of `values` (numbers or arrays of one shape); `t` (T,) s, where the
-    passage is wanted.
+    **Arguments:** `times`, increasing, one for each of `values` (numbers or arrays of one shape); `t` (T,) s,
+    where the passage is wanted.
     """
     knots, levels = np.asarray(times, np.float64), np.asarray(values, np.float64)
     if knots.ndim != 1 or len(knots) < 2 or len(levels) != len(knots) or np.any(np.diff(knots) <= 0):

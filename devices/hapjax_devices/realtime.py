@@ -47,8 +47,8 @@ class MonotonicClock:
 class Pacer:
     """Deadlines at a fixed period, the first of them one period after it is made.
 
-    A deadline that has passed before the work of the last one was done is missed: it is counted and left out, for
-    a burst of steps to catch up would be felt as a blow. `missed` says how many were.
+    A deadline that has passed before the work of the last one was done is missed: it is counted and left out,
+    for a burst of steps to catch up would be felt as a blow. `missed` says how many were.
 
     **Arguments:** `period` in ns.
     """

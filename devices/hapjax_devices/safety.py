@@ -10,8 +10,8 @@ _BELOW = 1 - 8 * np.finfo(np.float64).eps
 class ForceGuard:
     """Makes of any forces some that are finite and within the limits of their devices.
 
-    A force with a component that is NaN or infinite becomes no force; one over its device's limit keeps its direction
-    and gets the limit as its norm.
+    A force with a component that is NaN or infinite becomes no force; one over its device's limit keeps its
+    direction and gets the limit as its norm.
 
     **Arguments:** `limits` (F,) N, the largest norm for each finger.
 

@@ -9,7 +9,8 @@ from hapjax import InputError
 class ForceSensor:
     """Measures the forces that the devices put out, with white noise.
 
-    **Arguments:** `rate` in Hz; `noise`, the standard deviation of each axis in N, 0 or above; `seed` of the noise.
+    **Arguments:** `rate` in Hz; `noise`, the standard deviation of each axis in N, 0 or above; `seed` of the
+    noise.
     """
 
     def __init__(self, rate: float = 500.0, noise: float = 0.02, seed: int = 0):
@@ -26,8 +27,8 @@ class ForceSensor:
 class PoseTracker:
     """Measures the poses of the moving objects, with white noise on the place and on the rotation.
 
-    **Arguments:** `rate` in Hz; `place_noise`, the standard deviation of each axis in m; `angle_noise`, that of each
-    component of the rotation vector in rad; both 0 or above; `seed` of the noise.
+    **Arguments:** `rate` in Hz; `place_noise`, the standard deviation of each axis in m; `angle_noise`,
+    that of each component of the rotation vector in rad; both 0 or above; `seed` of the noise.
     """
 
     def __init__(

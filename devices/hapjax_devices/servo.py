@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -24,9 +25,9 @@ WARM_UP = 50  # calls before the first deadline: the first ones of a compiled fu
 class ServoResult:
     """What a run of the servo loop leaves behind.
 
-    `recording`; for each tick how late it began, `lateness_us`, and how long it worked, `compute_us` (T,) us; `missed`
-    deadlines; how many force commands were `not_finite` or `limited`; `refused`, a sentence for each privilege
-    that the system did not grant.
+    `recording`; for each tick how late it began, `lateness_us`, and how long it worked, `compute_us` (T,) us;
+    `missed` deadlines; how many force commands were `not_finite` or `limited`; `refused`, a sentence for each
+    privilege that the system did not grant.
     """
 
     recording: Recording
@@ -38,7 +39,7 @@ class ServoResult:
     refused: tuple[str, ...]
 
     def summary(self) -> dict[str, dict[str, float] | int]:
-        """Percentiles p50, p99, p99.9 and the maximum of lateness and compute time in us, ticks and missed ticks."""
+        """p50, p99, p99.9 and max of lateness and of compute time in us; ticks done and ticks missed."""
         return {
             "lateness_us": _percentiles(self.lateness_us),
             "compute_us": _percentiles(self.compute_us),
@@ -59,16 +60,17 @@ def run(
 ) -> ServoResult:
     """Let the fingers on `devices` feel a scene for `duration` seconds, and record it.
 
-    The recording's clock is the servo clock: tick n is at n / rate. `hip` is exactly what the step got. The forces of
-    tick n push until tick n + 1 and are measured at tick n; its poses are those that the step ends with, and
-    are measured at tick n + 1. The forces are off again when the loop ends, in whatever way it does.
+    The recording's clock is the servo clock: tick n is at n / rate. `hip` is exactly what the step got. The
+    forces of tick n push until tick n + 1 and are measured at tick n; its poses are those that the step
+    ends with, and are measured at tick n + 1. The forces are off again when the loop ends, in whatever way
+    it does.
 
     **Arguments:**
 
     - `devices`, one a finger; `run` opens and closes them.
     - `rate` in Hz, above 0; the step's dt is 1 / rate, whatever the scene's integrator says.
-    - `force_sensor`, `pose_tracker`: each measures at every tick that is its turn, so its rate goes a whole number
-        of times into the loop's. `None`: the recording is without that channel.
+    - `force_sensor`, `pose_tracker`: each measures at every tick that is its turn, so its rate goes a whole
+        number of times into the loop's. `None`: the recording is without that channel.
     - `realtime`: `False` runs as fast as it can, with the same recording on virtual devices.
 
     **Raises:** `InputError` for arguments out of range; `DeviceError` from a device.
@@ -168,7 +170,7 @@ class _Log:
 def _pose_places(packed: hapjax.PackedStep) -> np.ndarray:
     """Where in the memory the numbers of each object's pose are, (O, 7)."""
     # The memory's own places, taken apart as if they were a state. Unpacking itself is too slow for the loop.
-    places = packed.state(np.arange(len(packed.start)).astype(packed.dtype))
+    places = packed.state(jnp.arange(len(packed.start), dtype=packed.dtype))
     rows = [np.concatenate([m.position, m.orientation]) for m in places.motion.values()]
     return np.stack(rows).astype(int)
 

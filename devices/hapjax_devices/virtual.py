@@ -16,11 +16,14 @@ FORCE_STEP = FORCE_LIMIT / 4095  # N: a signed command of 13 bits
 class VirtualDevice:
     """A device in the hand of an `Operator`; see `Device`.
 
-    Positions come in steps of `resolution` (m) and one sample late: what is read is what the encoders latched at the
-    sample before, as over a bus. Forces come in steps of `force_step` (N) an axis, and the norm is limited to
-    `force_limit` (N). Each write carries the hand on by one `period` (s).
+    Positions come in steps of `resolution` (m) and one sample late: what is read is what the encoders
+    latched at the sample before, as over a bus. Forces come in steps of `force_step` (N) an axis, and the
+    norm is limited to `force_limit` (N). Each write carries the hand on by one `period` (s).
 
-    **Arguments:** as for `Operator`: `path` (T, 3) m, `period` s, `hand`.
+    **Arguments:** `path` (T, 3) m, `period` s and `hand` as for `Operator`.
+
+    **Attributes:** `path`; `operator`, the hand while the device is open; `output` (3,) N, the force that
+    it puts out.
     """
 
     def __init__(
@@ -33,11 +36,11 @@ class VirtualDevice:
         force_limit: float = FORCE_LIMIT,
     ):
         self.resolution, self.force_limit, self._force_step = resolution, force_limit, force_step
-        self._start = path, period, hand or Hand()
+        self.path, self._period, self._hand = path, period, hand or Hand()
         self._operator: Operator | None = None
         self._latched = np.zeros(3)
         self.output = np.zeros(3)
-        Operator(*self._start)  # refuses a bad path now rather than when the device is opened
+        Operator(path, period, self._hand)  # refuses a bad path now rather than when the device is opened
 
     @property
     def operator(self) -> Operator:
@@ -48,7 +51,7 @@ class VirtualDevice:
 
     def open(self) -> None:
         """Put the hand at the start of its path; see `Device.open`."""
-        self._operator = Operator(*self._start)
+        self._operator = Operator(self.path, self._period, self._hand)
         self._latched = self._encode()
         self.output = np.zeros(3)
 
