@@ -65,6 +65,26 @@ class Recording:
         """How many fingers were recorded; 0 where only objects were."""
         return next((x.shape[1] for x in (self.hip, self.force, self.gimbal) if x is not None), 0)
 
+    def hip_every(self, dt: float) -> np.ndarray:
+        """The fingers' path (N, F, 3) m at intervals of `dt` s, from the first sample on, for a model to follow.
+
+        As recorded where the clock ticks at `dt` (to a thousandth of it), else linearly interpolated.
+
+        **Raises:** `hapjax.InputError` if `hip` was not recorded, has one sample, or would have over 10 million.
+        """
+        if self.hip is None or self.hip_t is None:
+            raise InputError("hip was not recorded; expected the fingers' positions")
+        if len(self.hip_t) < 2:
+            raise InputError("hip has one sample; expected at least two")
+        if np.allclose(np.diff(self.hip_t), dt, rtol=0, atol=1e-3 * dt):
+            return self.hip
+        span = self.hip_t[-1] - self.hip_t[0]
+        if span > 1e7 * dt:
+            raise InputError(f"hip spans {span:g} s; expected at most 10 million intervals of {dt:g} s")
+        grid = self.hip_t[0] + dt * np.arange(int(np.floor(span / dt + 1e-6)) + 1)
+        flat = self.hip.reshape(len(self.hip_t), -1)
+        return np.stack([np.interp(grid, self.hip_t, c) for c in flat.T], axis=-1).reshape(-1, *self.hip.shape[1:])
+
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "Recording":
         """Read a recording from a `.npz` or `.csv` file.

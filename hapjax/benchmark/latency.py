@@ -1,0 +1,138 @@
+"""How fast a step is: inside a compiled loop, called from Python, in the servo loop, and how long it compiles."""
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ..errors import InputError
+from ..extras import need
+from ..files import replacing
+from ..packed import PackedStep, pack
+from ..scene import Scene, dtype_of
+from ..simulate import init, rollout
+
+SCAN_STEPS = 2000
+CALLS = 5000
+RATE = 1000.0  # Hz, of the servo loop
+
+
+def measure(scene: Scene | None, fingers: int, seconds: float) -> dict[str, Any]:
+    """All figures in us, but `compile_s`. `scene` `None`: the demo's, felt by its three fingers as in its lift.
+
+    `scan_step`: one step inside a compiled loop, the median over repetitions; `packed_call` and `empty_call`: p50,
+    p99, p99.9 and max of a call from Python and of one with the same arguments that does next to nothing; `loop`: the
+    servo loop's lateness, compute time, ticks and missed ticks at 1 kHz.
+
+    **Raises:** `InputError` for a number of fingers outside 1 to 100 or a time outside 0 to 3600 s.
+    """
+    if not 1 <= fingers <= 100:
+        raise InputError(f"fingers is {fingers}; allowed: 1 to 100")
+    if not 0 < seconds <= 3600:
+        raise InputError(f"seconds is {seconds}; allowed: above 0, at most 3600")
+    servo = need("hapjax_devices", "devices")
+    task = need("hapjax_devices.demo", "devices").three_finger_lift(0)
+    if scene is None:
+        scene, devices = task.scene, task.devices
+    else:
+        # Apart from each other and from nearby objects: a step does the same arithmetic wherever the fingers are.
+        devices = [servo.VirtualDevice(np.array([[0.1 * i, 0.0, 1.0]])) for i in range(fingers)]
+    hip = np.stack([np.asarray(device.path[0]) for device in devices])
+    scan_step, scan_compile = _scan(scene, hip)
+    packed = pack(scene, hip, 1 / RATE)
+    loop = servo.run(scene, devices, seconds, RATE)
+    return {
+        "device": str(jax.devices()[0]),
+        "dtype": str(dtype_of(scene)),
+        "fingers": len(devices),
+        "scan_step_us": scan_step,
+        "packed_call_us": _percentiles(_calls(packed.call, packed, hip)),
+        "empty_call_us": _percentiles(_calls(_empty(packed), packed, hip)),
+        "compile_s": {"step": packed.compile_s, "rollout": scan_compile},
+        "loop": loop.summary(),
+        "refused": list(loop.refused),
+    }
+
+
+def report(scene: Scene | None, fingers: int, seconds: float, file: Path | None) -> None:
+    """Measure, print the table, and write the figures as JSON where a file is given."""
+    figures = measure(scene, fingers, seconds)
+    console = Console()
+    for sentence in figures["refused"]:
+        console.print(sentence)
+    console.print(_table(figures))
+    if file is not None:
+        with replacing(file) as out:
+            json.dump(figures, out, indent=2)
+            out.write("\n")
+
+
+def _scan(scene: Scene, hip: np.ndarray) -> tuple[float, float]:
+    """us a step inside a compiled loop (median of 9 runs), and s to compile it."""
+    hips = jnp.asarray(np.broadcast_to(hip, (SCAN_STEPS, *hip.shape)), dtype_of(scene))
+    state = init(scene, hips[0])
+    began = time.perf_counter()
+    compiled = rollout.lower(scene, state, hips, 1 / RATE).compile()
+    compile_s = time.perf_counter() - began
+    runs = []
+    for _ in range(10):
+        began = time.perf_counter()
+        jax.block_until_ready(compiled(scene, state, hips, 1 / RATE))
+        runs.append((time.perf_counter() - began) / SCAN_STEPS * 1e6)
+    return float(np.median(runs[1:])), compile_s
+
+
+def _empty(packed: PackedStep) -> Callable[[Any, Any], Any]:
+    """A compiled call with the packed step's arguments and result that does next to nothing.
+
+    It adds one number, since a call that only hands its argument back would not be made at all.
+    """
+    hip = jax.ShapeDtypeStruct((packed.fingers, 3), packed.dtype)
+    return jax.jit(lambda memory, hip: memory + hip[0, 0]).lower(packed.start, hip).compile()
+
+
+def _calls(call: Callable[[Any, Any], Any], packed: PackedStep, hip: np.ndarray) -> np.ndarray:
+    """us of each call, forces read."""
+    hip = hip.astype(packed.dtype)
+    taken = np.empty(CALLS)
+    memory = packed.start
+    for i in range(-100, CALLS):  # the first hundred are not counted
+        began = time.perf_counter_ns()
+        memory = call(memory, hip)
+        packed.force(memory)
+        taken[max(i, 0)] = (time.perf_counter_ns() - began) * 1e-3
+    return taken
+
+
+def _percentiles(values: np.ndarray) -> dict[str, float]:
+    p50, p99, p999 = np.percentile(values, [50, 99, 99.9]).tolist()
+    return {"p50": p50, "p99": p99, "p99.9": p999, "max": float(values.max())}
+
+
+def _table(figures: dict[str, Any]) -> Table:
+    columns = ("p50", "p99", "p99.9", "max")
+    title = f"latency: {figures['fingers']} fingers, {figures['dtype']}, {figures['device']}"
+    table = Table("what", *columns, "unit", title=title)
+
+    def row(name: str, values: dict[str, float]) -> None:
+        table.add_row(name, *(f"{values[c]:.1f}" for c in columns), "us")
+
+    table.add_row("one step inside a scan", f"{figures['scan_step_us']:.1f}", "", "", "", "us")
+    row("one packed call", figures["packed_call_us"])
+    row("an empty call with the same arguments", figures["empty_call_us"])
+    ratio = figures["packed_call_us"]["p50"] / figures["empty_call_us"]["p50"]
+    table.add_row("packed over empty", f"{ratio:.2f}", "", "", "", "")
+    loop = figures["loop"]
+    row("servo loop at 1 kHz, late by", loop["lateness_us"])
+    row("servo loop, work in a tick", loop["compute_us"])
+    table.add_row("missed ticks", f"{loop['missed']} of {loop['ticks']}", "", "", "", "")
+    for name, seconds in figures["compile_s"].items():
+        table.add_row(f"compile the {name}", f"{seconds:.2f}", "", "", "", "s")
+    return table

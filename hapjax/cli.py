@@ -1,0 +1,191 @@
+"""The command `hapjax`: arguments, exit codes, and the shortest way from each command to the library."""
+
+import sys
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import numpy as np
+import tyro
+from rich.console import Console
+from tyro import _errors as parse_errors
+from tyro.conf import Positional
+
+from .errors import InputError, within
+from .extras import need
+from .recording import Recording
+from .scene_file import load_scene
+from .simulate import init, rollout
+
+
+def demo(out: Path = Path("hapjax-demo"), seed: int = 0) -> int:
+    """Grasp a cube with virtual fingers in real time, record it, and find its numbers again from the recording.
+
+    A three-finger lift and a two-finger swing at 1 kHz, about 17 s; then a fit of mu, stiffness, A_crit, mass and
+    principal inertia from starts a factor 2 off. Example: hapjax demo --out hapjax-demo
+
+    Args:
+        out: Folder for the recordings, the scenes, the figures and the report.
+        seed: Of the sensors' noise and of the starts, 0 or above.
+    """
+    from .demo import run_demo
+
+    return run_demo(out, seed)
+
+
+def simulate(scene: Positional[Path], *, hip: Path, out: Path) -> None:
+    """Replay a path of fingertips through a scene, and write the forces (N) and poses (m) it answers with.
+
+    Example: hapjax simulate cube.toml --hip lift.npz --out answer.csv
+
+    Args:
+        scene: Scene file (TOML).
+        hip: Recording (.npz, .csv) whose channel hip (m, world frame) is replayed at the scene's time step.
+        out: Recording to write (.npz, .csv): hip, force on the fingers, pose of the moving objects.
+    """
+    with jax.enable_x64(True):
+        loaded = load_scene(scene)
+        dt = float(loaded.integrator.dt)
+        path, start = _path_of(hip, dt)
+        _, reply = rollout(loaded, init(loaded, path[0]), path)
+    times = start + dt * np.arange(len(path))
+    channels: dict[str, Any] = {"hip": path, "hip_t": times, "force": np.asarray(reply.force), "force_t": times}
+    if loaded.moving():
+        channels |= {"pose": np.asarray(reply.pose), "pose_t": times + dt}  # a step's poses belong to its end
+    with within(f"{scene} with {hip}: the simulation ended with "):
+        answer = Recording(**channels)
+    answer.save(out)
+
+
+def fit(
+    recordings: Positional[tuple[Path, ...]],
+    *,
+    scene: Path,
+    free: tuple[str, ...],
+    observe: tuple[Literal["force", "pose"], ...] = ("force", "pose"),
+    starts: int = 8,
+    spread: float = 2.0,
+    seed: int = 0,
+    json: Path | None = None,
+    report: Path | None = None,
+) -> None:
+    """Find numbers of a scene from recordings, with 95 % intervals.
+
+    Example: hapjax fit lift.npz --scene cube.toml --free object.cube.surface.mu object.cube.surface.stiffness
+
+    Args:
+        recordings: Files (.npz, .csv) with hip (m) and force (N, on the finger) or pose (m).
+        scene: Scene file (TOML); its free numbers are the first start.
+        free: Paths of the free numbers, as in the scene file, such as object.cube.body.mass.
+        observe: What is compared with the model, of what was recorded.
+        starts: Number of starts, 1 to 10000; the results of all are compared.
+        spread: The other starts are off by random factors up to this, 1 or above.
+        seed: Of the starts, 0 or above.
+        json: File for the figures.
+        report: Folder for the report, an HTML page.
+    """
+    fitting = need("hapjax_fitting", "fitting")
+    with jax.enable_x64(True):
+        loaded = [Recording.load(path) for path in recordings]
+        _check_folder(json)
+        result = fitting.fit(
+            load_scene(scene),
+            loaded,
+            free,
+            observe=observe,
+            starts=starts,
+            spread=spread,
+            seed=seed,
+            progress=True,
+            names=[str(path) for path in recordings],
+        )
+        Console().print(fitting.table(result))
+        if json is not None:
+            result.save_json(json)
+        if report is not None:
+            print(f"report: {fitting.write_report(result, report)}")
+
+
+def benchmark(
+    kind: Positional[Literal["latency"]],
+    scene: Path | None = None,
+    fingers: int = 3,
+    seconds: float = 5.0,
+    json: Path | None = None,
+) -> None:
+    """Measure on this machine.
+
+    latency: one step inside a compiled loop, one packed call beside an empty one, the servo loop's lateness and
+    missed ticks at 1 kHz, compile time. Example: hapjax benchmark latency --json latency.json
+
+    Args:
+        kind: Which measurement.
+        scene: Scene file (TOML); absent: the demo's.
+        fingers: Number of fingers, 1 to 100.
+        seconds: How long the servo loop runs, above 0 to 3600 s.
+        json: File for the figures.
+    """
+    from .benchmark import latency
+
+    del kind  # there is one so far
+    _check_folder(json)
+    latency.report(None if scene is None else load_scene(scene), fingers, seconds, json)
+
+
+_COMMANDS = {"demo": demo, "simulate": simulate, "fit": fit, "benchmark": benchmark}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line. Bad input ends with one sentence on stderr and the exit code 2."""
+    try:
+        with parse_errors.on_parse_error(_refuse):
+            result = tyro.extras.subcommand_cli_from_dict(
+                _COMMANDS,
+                prog="hapjax",
+                description="Touch, hold and identify virtual objects: friction, stiffness, torsional grip, inertia.",
+                args=arguments,
+            )
+    except InputError as error:
+        print(f"hapjax: {error}", file=sys.stderr)
+        return 2
+    return result or 0
+
+
+def _refuse(event: parse_errors.ParseErrorEvent) -> None:
+    """Say in one sentence why the arguments are refused, in place of tyro's box of many lines."""
+    raise InputError(f"{_reason(event)}; see {event.prog} --help")
+
+
+def _reason(event: parse_errors.ParseErrorEvent) -> str:
+    match event:
+        case parse_errors.MissingArgs(missing_arguments=missing):
+            return f"missing: {', '.join(_flag(m.arg) for m in missing)}"
+        case parse_errors.MissingSubcommand(found_token=found):
+            return f"{'no command' if found is None else repr(found)} given; allowed: {', '.join(_COMMANDS)}"
+        case parse_errors.InvalidChoice(argument=argument, value=value, choices=choices):
+            return f"{_flag(argument)} is {value!r}; allowed: {', '.join(choices)}"
+        case parse_errors.UnrecognizedArgs(tokens=tokens):
+            return f"unknown: {' '.join(tokens)}"
+        case parse_errors.BadValue(argument=argument, offending_value=value):
+            return f"{_flag(argument)} has " + ("too few values" if value is None else f"the value {value!r} too many")
+        case parse_errors.InstantiationFailure(argument=argument, message=message):
+            return f"{'arguments' if argument is None else _flag(argument)}: {' '.join(message.split())}"
+    return "the arguments are not understood"
+
+
+def _flag(argument: Any) -> str:
+    return str(argument.lowered.metavar) if argument.is_positional() else argument.lowered.name_or_flags[-1]
+
+
+def _path_of(hip: Path, dt: float) -> tuple[np.ndarray, float]:
+    recording = Recording.load(hip)
+    with within(f"{hip}: "):
+        path = recording.hip_every(dt)
+    assert recording.hip_t is not None
+    return path, float(recording.hip_t[0])
+
+
+def _check_folder(file: Path | None) -> None:
+    """Refuse a file that cannot be written before the work is done, not after."""
+    if file is not None and not file.parent.is_dir():
+        raise InputError(f"{file}: the folder {file.parent} does not exist; allowed: a file in an existing folder")
