@@ -47,9 +47,15 @@ def from_matrix(matrix: Float[Array, "3 3"]) -> Float[Array, "4"]:
 
 def turn(matrix: Float[Array, "3 3"], vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
     """The matrix applied to each vector; in full precision on accelerators that would otherwise round to TF32."""
-    return jnp.matmul(vectors, matrix.T, precision="highest")
+    return _sum_of_rows(matrix.T, vectors)
 
 
 def turn_back(matrix: Float[Array, "3 3"], vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
     """The inverse of the rotation matrix applied to each vector."""
-    return jnp.matmul(vectors, matrix, precision="highest")
+    return _sum_of_rows(matrix, vectors)
+
+
+def _sum_of_rows(rows: Float[Array, "3 3"], weights: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    # Written out, because a matrix product is a call that the compiler fuses with nothing around it.
+    x, y, z = (jnp.broadcast_to(row, weights.shape) for row in rows)
+    return weights[..., 0:1] * x + weights[..., 1:2] * y + weights[..., 2:3] * z
