@@ -1,43 +1,133 @@
-"""The largest |f_t| / f_n that was seen: what mu is at least, where nothing slipped."""
+"""What recordings say of a mu: whether anything slipped, and if not, how large mu is at least."""
 
 from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from hapjax import Scene, init, rollout
-from hapjax import safe
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
+
+from hapjax import Scene, init, rollout, rotation, safe
 
 from .observation import Observation
 from .parameters import Parameter
+from .problem import NOTICEABLE, Problem, loss_at
+from .transform import Logit
+
+
+def is_mu(parameter: Parameter) -> bool:
+    """Whether a parameter is a coefficient of friction."""
+    return parameter.path.rsplit(".", 1)[-1] in ("mu", "mu_static", "mu_kinetic")
+
+
+def cost_of_grip(free: Float[Array, " p"], problem: Problem) -> Float[np.ndarray, " p"]:
+    """For each free number that is a mu, by how much twice the loss grows if it is a thousand times larger.
+
+    Where nothing slips, any larger mu explains the data as well, and the solver stops at some value on its
+    way. Infinite for what is no mu.
+    """
+    cost = np.full(len(problem.parameters), np.inf)
+    loss = float(loss_at(free, problem))
+    for i, p in enumerate(problem.parameters):
+        if is_mu(p):
+            cost[i] = 2 * (float(loss_at(raised(free, p, i), problem)) - loss)
+    return cost
+
+
+def raised(free: Float[Array, " p"], parameter: Parameter, i: int) -> Float[Array, " p"]:
+    """The free numbers with one mu a thousand times larger, or all but at its upper bound."""
+    transform, value = parameter.transform, parameter.transform.value(free[i])
+    larger = 1e3 * value
+    if isinstance(transform, Logit):
+        larger = value + 0.999 * (transform.high - value)
+    return free.at[i].set(transform.free(larger))
+
+
+def slipping_instead(
+    free: Float[Array, " p"], problem: Problem, flat: Bool[np.ndarray, " p"], variance: float
+) -> Float[Array, " p"] | None:
+    """Free numbers with smaller mu that explain the data better than a fit in which nothing slips, if there
+    are any.
+
+    From a mu so large that nothing slips the solver cannot find down again: the loss is flat there. So
+    smaller ones are tried, from the largest |f_t| / f_n down to a thousandth, all `flat` ones of an object
+    or contact at once.
+    """
+    scene, found = problem.scene_at(free), None
+    lowest = float(loss_at(free, problem)) - NOTICEABLE * variance / 2
+    for part in sorted({_part(problem.parameters[i]) for i in np.flatnonzero(flat)}):
+        places = [i for i in np.flatnonzero(flat) if _part(problem.parameters[i]) == part]
+        top = max(largest_ratio(scene, problem.groups, problem.parameters[i]) for i in places)
+        base = free if found is None else found
+        for factor in 0.98 * 1.5 ** -np.arange(18.0):
+            trial = base
+            for i in places:
+                trial = trial.at[i].set(_free_near(problem.parameters[i], factor * top, free))
+            loss = float(loss_at(trial, problem)) if top > 0 else np.inf
+            if loss < lowest:
+                lowest, found = loss, trial
+    return found
+
+
+def _free_near(parameter: Parameter, value: float, like: Array) -> Array:
+    """The unconstrained number of a value, moved between the parameter's bounds where it is not."""
+    transform = parameter.transform
+    if isinstance(transform, Logit):
+        margin = 1e-3 * (transform.high - transform.low)
+        value = min(max(value, transform.low + margin), transform.high - margin)
+    return transform.free(jnp.asarray(value, like.dtype))
+
+
+def largest_ratio(scene: Scene, groups: Sequence[Observation], parameter: Parameter) -> float:
+    """The largest ratio of tangential to normal force in the model of the recordings; 0 where nothing
+    touches.
+
+    Of a mu of one face, only touches on that face count. Touches of less than a thousandth of the firmest
+    one are left out: their ratio is a quotient of rounding errors.
+    """
+    largest = 0.0
+    for group in groups:
+        normal, tangential, face = (np.asarray(x) for x in grips(scene, group.hips)[_part(parameter)])
+        firm = normal > 1e-3 * normal.max(initial=0)
+        if parameter.index is not None:
+            firm &= face == parameter.index
+        largest = max(largest, float(np.max(tangential[firm] / normal[firm], initial=0)))
+    return largest
 
 
 @jax.jit
 def grips(scene: Scene, hips: Float[Array, "R T F 3"]):
-    """Normal and tangential force (N) of every finger on every object, and of every contact point, over time."""
+    """Normal and tangential force (N) of every finger on every object, and of every contact point, over time.
+
+    And the face that each touches, by the object's or contact's path.
+    """
 
     def one(path):
-        _, reply = rollout(scene, init(scene, path[0]), path)
-        touches = {("object", n): t for n, t in reply.touch.items()} | {
-            ("contact", n): t for n, t in reply.contact.items()
-        }
-        return {
-            f"{kind}.{n}": (t.normal_force, safe.norm(t.friction_force)) for (kind, n), t in touches.items()
-        }
+        state = init(scene, path[0])
+        _, reply = rollout(scene, state, path)
+        found = {}
+        for name, touch in reply.touch.items():
+            thing = scene.object[name]
+            position, orientation = thing.position[None], rotation.normalise(thing.orientation)[None]
+            if name in state.motion:  # where it was at the start of each step
+                pose = reply.pose[:, scene.moving().index(name)]
+                position = jnp.concatenate([position, pose[:-1, :3]])
+                orientation = jnp.concatenate([orientation, pose[:-1, 3:]])
+            matrix = jnp.broadcast_to(jax.vmap(rotation.to_matrix)(orientation), (len(path), 3, 3))
+            local = jax.vmap(rotation.turn_back)(matrix, path - position[:, None, :])
+            face = jax.vmap(jax.vmap(lambda point, shape=thing.shape: shape.closest(point).face))(local)
+            found[f"object.{name}"] = (touch.normal_force, safe.norm(touch.friction_force), face)
+        for name, touch in reply.contact.items():
+            normal = touch.normal_force
+            found[f"contact.{name}"] = (
+                normal,
+                safe.norm(touch.friction_force),
+                jnp.zeros(normal.shape, jnp.int32),
+            )
+        return found
 
     return jax.vmap(one)(hips)
 
 
-def largest_ratio(scene: Scene, groups: Sequence[Observation], parameter: Parameter) -> float:
-    """The largest ratio of tangential to normal force in the model of the recordings; 0 where nothing touches.
-
-    Touches of less than a thousandth of the firmest one are left out: their ratio is a quotient of rounding errors.
-    """
-    part = ".".join(parameter.path.split(".")[:2])
-    largest = 0.0
-    for group in groups:
-        normal, tangential = (np.asarray(x, np.float64) for x in grips(scene, group.hips)[part])
-        firm = normal > 1e-3 * normal.max(initial=0)
-        largest = max(largest, float(np.max(tangential[firm] / normal[firm], initial=0)))
-    return largest
+def _part(parameter: Parameter) -> str:
+    return ".".join(parameter.path.split(".")[:2])

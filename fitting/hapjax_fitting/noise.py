@@ -1,10 +1,13 @@
-"""How noisy the measurements are: given, or estimated from the recordings."""
+"""How noisy the measurements are: given, estimated from the recordings, or seen in the residuals."""
 
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
+
 from hapjax import InputError, Recording
 
 from .observation import Noise
@@ -22,24 +25,81 @@ def noise_of(recordings: Sequence[Recording], given: Mapping[str, float] | None,
     for name, value in given.items():
         if name not in _FIELDS:
             raise InputError(f"noise names {name}; allowed: {', '.join(_FIELDS)}")
-        if not (np.isfinite(value) and value > 0):
-            raise InputError(f"noise of {name} is {value}; allowed: above 0")
+        if isinstance(value, bool) or not isinstance(value, Real) or not 0 < float(value) < np.inf:
+            raise InputError(f"noise of {name} is {value!r}; allowed: a number above 0")
+    poses = [r.pose for r in recordings if r.pose is not None]
     found = {
-        "force": _estimate([r.force for r in recordings if r.force is not None]),
-        "position": _estimate([r.pose[..., :3] for r in recordings if r.pose is not None]),
-        # A small rotation vector is twice the change of the quaternion's vector part.
-        "angle": 2 * _estimate([r.pose[..., 3:] for r in recordings if r.pose is not None]),
+        "force": _third([r.force for r in recordings if r.force is not None]),
+        "position": _third([p[..., :3] for p in poses]),
+        # A turn from one sample to the next is a first difference already.
+        "angle": _estimate([np.diff(_turns(p[..., 3:]), n=2, axis=0) for p in poses], np.pi),
     }
     return Noise(**{name: jnp.asarray(given.get(name, found[name]), dtype) for name in _FIELDS})
 
 
-def _estimate(series: Sequence[np.ndarray]) -> float:
-    """The noise of several series (N, ...), from their third differences; never 0, also where the data are exact."""
-    moving = [np.abs(np.diff(s, n=3, axis=0)).ravel() for s in series if len(s) > 3]
-    if not moving or not sum(len(m) for m in moving):
+def _third(series: Sequence[np.ndarray]) -> float:
+    size = max((float(np.abs(s).max()) for s in series), default=1.0)
+    return _estimate([np.diff(s, n=3, axis=0) for s in series], size)
+
+
+def _estimate(thirds: Sequence[np.ndarray], size: float) -> float:
+    """The noise of series of a given size, from their third differences; never 0, also where the data are
+    exact."""
+    differences = np.concatenate([np.abs(d).ravel() for d in thirds] or [np.zeros(0)])
+    if not len(differences):
         return 1.0
-    differences = np.concatenate(moving)
     differences = differences[differences > 0]
-    size = max(float(np.abs(s).max()) for s in series)
     floor = max(1e-6 * size, 1e-12)
     return max(float(np.median(differences)) / (0.6745 * np.sqrt(20)), floor) if len(differences) else floor
+
+
+def _turns(quaternions: Float[np.ndarray, "N O 4"]) -> Float[np.ndarray, "M O 3"]:
+    """The rotation vectors (rad, small) from each sample to the next, in the frame of the first."""
+    first, second = quaternions[:-1], quaternions[1:]
+    w, v = first[..., :1], first[..., 1:]
+    scalar = np.sum(first * second, axis=-1, keepdims=True)
+    vector = w * second[..., 1:] - second[..., :1] * v - np.cross(v, second[..., 1:])
+    return 2 * np.sign(scalar) * vector
+
+
+def spread_of(
+    channels: Sequence[tuple[str, Float[Any, "R N m"]]], given: Mapping[str, float] | None, free: int
+) -> tuple[dict[str, float], Float[np.ndarray, " n"]]:
+    """Root mean square of each channel's whitened residuals, and the variance that each residual stands for.
+
+    Noise that was given is believed: variance 1. Noise that was estimated is replaced by what the residuals
+    turned out to be, allowing for the `free` numbers fitted to them, times their `correlation_time`: where
+    the model is wrong, neighbouring residuals err alike, and count as fewer samples than there are.
+    """
+    parts: dict[str, list[np.ndarray]] = {}
+    for key, r in channels:
+        parts.setdefault(key, []).append(np.asarray(r, np.float64))
+    size = {
+        key: float(np.sqrt(np.mean(np.concatenate([x.ravel() for x in r]) ** 2))) for key, r in parts.items()
+    }
+    count = sum(r.size for _, r in channels)
+    variance = {
+        key: 1.0 if key in (given or {}) else size[key] ** 2 * count / (count - free) * correlation_time(r)
+        for key, r in parts.items()
+    }
+    return size, np.concatenate([np.full(r.size, variance[key]) for key, r in channels])
+
+
+def correlation_time(series: Sequence[Float[np.ndarray, "R N m"]]) -> float:
+    """How many successive residuals err alike, at least 1: 1 + 2 sum of their autocorrelation.
+
+    The sum ends where two neighbouring terms first are no longer above 0 together (Geyer 1992, section 3.3,
+    the initial positive sequence). The mean is not taken off: a constant error is one error, however often
+    it is measured.
+    """
+    length = max(r.shape[1] for r in series)
+    products = np.zeros(length)
+    for r in series:
+        spectrum = np.abs(np.fft.rfft(r, 2 * r.shape[1], axis=1)) ** 2
+        products[: r.shape[1]] += np.fft.irfft(spectrum, axis=1)[:, : r.shape[1]].sum(axis=(0, 2))
+    if products[0] <= 0:
+        return 1.0
+    correlation = products / products[0]
+    pairs = correlation[: length // 2 * 2].reshape(-1, 2).sum(axis=1)
+    ends = np.flatnonzero(pairs <= 0)
+    return max(1.0, 2 * float(np.sum(pairs[: ends[0] if len(ends) else None])) - 1)

@@ -4,14 +4,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from hapjax import InputError, Recording, Scene, init, rollout, rotation
 from jaxtyping import Array, Float, Int
 
+from hapjax import InputError, Recording, Scene, init, rollout, rotation
+
 CHANNELS = ("force", "pose")
+_MOST_STEPS = 10_000_000  # almost three hours at 1 kHz
 
 
 class Samples(eqx.Module):
-    """Measured values, and where they lie among the model's steps: between `index` and the next by `weight`."""
+    """Measured values, and where they lie among the model's steps: between `index` and the next by
+    `weight`."""
 
     value: Float[Array, "*r N n m"]
     index: Int[Array, "*r N"]
@@ -24,7 +27,8 @@ class Samples(eqx.Module):
 
 
 class Observation(eqx.Module):
-    """One recording, ready to be compared: the fingers' path on the model's time grid and the measured samples.
+    """One recording, ready to be compared: the fingers' path on the model's time grid and the measured
+    samples.
 
     `hips` (T, F, 3) m at intervals of the integrator's dt; `force` (N, F, 3) N; `pose` (N, O, 7).
     """
@@ -43,13 +47,14 @@ class Noise(eqx.Module):
 
 
 def observation_of(scene: Scene, recording: Recording, channels: tuple[str, ...], name: str) -> Observation:
-    """Lay a recording on the scene's time grid. **Raises:** `InputError` where the two do not belong together."""
+    """Lay a recording on the scene's time grid. **Raises:** `InputError` where the two do not belong
+    together."""
     if recording.hip is None or recording.hip_t is None:
         raise InputError(f"{name}: hip was not recorded; allowed: a recording with the fingers' positions")
     if len(recording.hip_t) < 2:
         raise InputError(f"{name}: hip has {len(recording.hip_t)} sample; allowed: at least 2")
     dtype, dt = scene.integrator.dt.dtype, float(scene.integrator.dt)
-    start, hips = _on_grid(recording.hip_t, recording.hip, dt)
+    start, hips = _on_grid(recording.hip_t, recording.hip, dt, name)
     force = pose = None
     if "force" in channels and recording.force is not None and recording.force_t is not None:
         force = _samples(recording.force_t, recording.force, start, dt, len(hips), dtype, f"{name}: force")
@@ -57,30 +62,45 @@ def observation_of(scene: Scene, recording: Recording, channels: tuple[str, ...]
         objects = scene.moving()
         if recording.pose.shape[1] != len(objects):
             raise InputError(
-                f"{name}: pose has {recording.pose.shape[1]} objects; allowed: {len(objects)}, as many as move in the scene"
+                f"{name}: pose has {recording.pose.shape[1]} objects; "
+                f"allowed: {len(objects)}, as many as move in the scene"
             )
         pose = _samples(recording.pose_t, recording.pose, start, dt, len(hips) + 1, dtype, f"{name}: pose")
+    if force is None and pose is None:
+        raise InputError(
+            f"{name}: nothing to compare was recorded; allowed: a recording with {' or '.join(channels)}"
+        )
     return Observation(jnp.asarray(hips, dtype), force, pose)
 
 
-def residuals(scene: Scene, observation: Observation, noise: Noise) -> dict[str, Float[Array, " n"]]:
-    """Predicted minus measured over the noise, one vector for each of `force`, `position`, `angle`.
+def residuals(scene: Scene, observation: Observation, noise: Noise) -> dict[str, Float[Array, "N m"]]:
+    """Predicted minus measured over the noise, m numbers a sample, for each of `force`, `position`, `angle`.
 
-    A step's forces belong to the time of its HIP, its poses to the end of the step. What the model cannot follow
-    (overflow at absurd parameters) counts as a million standard deviations.
+    A step's forces belong to the time of its HIP, its poses to the end of the step. What the model cannot
+    follow (overflow at absurd parameters) counts as a million standard deviations.
     """
+    found = {}
+    said = predicted(scene, observation)
+    if observation.force is not None:
+        found["force"] = (said["force"] - observation.force.value) / noise.force
+    if observation.pose is not None:
+        pose, measured = said["pose"], observation.pose.value
+        found["position"] = (pose[..., :3] - measured[..., :3]) / noise.position
+        found["angle"] = _turn_between(measured[..., 3:], pose[..., 3:]) / noise.angle
+    return {key: jnp.where(jnp.abs(r) < 1e6, r, 1e6).reshape(len(r), -1) for key, r in found.items()}
+
+
+def predicted(scene: Scene, observation: Observation) -> dict[str, Float[Array, "N n m"]]:
+    """What the scene says of each observed channel at the times of its samples."""
     state = init(scene, observation.hips[0])
     _, reply = rollout(scene, state, observation.hips)
     found = {}
     if observation.force is not None:
-        found["force"] = (observation.force.between(reply.force) - observation.force.value) / noise.force
+        found["force"] = observation.force.between(reply.force)
     if observation.pose is not None:
         first = jnp.stack([jnp.concatenate([m.position, m.orientation]) for m in state.motion.values()])
-        pose = observation.pose.between(jnp.concatenate([first[None], reply.pose]))
-        measured = observation.pose.value
-        found["position"] = (pose[..., :3] - measured[..., :3]) / noise.position
-        found["angle"] = _turn_between(measured[..., 3:], pose[..., 3:]) / noise.angle
-    return {key: jnp.where(jnp.abs(r) < 1e6, r, 1e6).ravel() for key, r in found.items()}
+        found["pose"] = observation.pose.between(jnp.concatenate([first[None], reply.pose]))
+    return found
 
 
 def _turn_between(first: Float[Array, "N O 4"], second: Float[Array, "N O 4"]) -> Float[Array, "N O 3"]:
@@ -92,11 +112,17 @@ def _turn_between(first: Float[Array, "N O 4"], second: Float[Array, "N O 4"]) -
     return jax.vmap(jax.vmap(one))(first, second)
 
 
-def _on_grid(times: np.ndarray, hip: np.ndarray, dt: float) -> tuple[float, np.ndarray]:
+def _on_grid(times: np.ndarray, hip: np.ndarray, dt: float, name: str) -> tuple[float, np.ndarray]:
     """The fingers' path at intervals of dt: as recorded if it has them, else interpolated."""
-    if np.allclose(np.diff(times), dt, rtol=0, atol=1e-3 * dt):
+    # Every time is compared, not every interval: a clock that is slow by a thousandth drifts by samples.
+    if np.allclose(times - times[0], dt * np.arange(len(times)), rtol=0, atol=1e-3 * dt):
         return float(times[0]), hip
     steps = int(np.floor((times[-1] - times[0]) / dt + 1e-6)) + 1
+    if not 2 <= steps <= _MOST_STEPS:
+        raise InputError(
+            f"{name}: hip lasts {times[-1] - times[0]:g} s, {steps} steps of the integrator's dt, {dt:g} s; "
+            f"allowed: 2 to {_MOST_STEPS} steps"
+        )
     grid = times[0] + dt * np.arange(steps)
     flat = hip.reshape(len(times), -1)
     return float(times[0]), np.stack([np.interp(grid, times, c) for c in flat.T], axis=-1).reshape(

@@ -9,12 +9,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from hapjax import InputError, Object, Scene
 from jaxtyping import Array, Float
+
+from hapjax import InputError, Object, Scene
 
 from .transform import Identity, Log, Logit, Transform
 
-Selector = Sequence[str] | Callable[[Scene], Any]
+Selector = str | Sequence[str] | Callable[[Scene], Any]
 
 # What can be below zero; every other number of a scene is a positive one and is fitted through its logarithm.
 _SIGNED = ("position", "orientation", "centre", "gravity")
@@ -22,7 +23,8 @@ _SIGNED = ("position", "orientation", "centre", "gravity")
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """One free number: its path, its place in the leaf (`None`: the leaf is one number), and its transform."""
+    """One free number: its path, its place in the leaf (`None`: the leaf is one number), and its
+    transform."""
 
     path: str
     index: int | None
@@ -58,10 +60,14 @@ def free_parameters(
 ) -> tuple[Parameter, ...]:
     """The free numbers that paths, or a function from the scene to its leaves, select, in their order.
 
-    A number with `bounds` is fitted through a scaled logit, others through the logarithm, positions and directions as
-    they are. **Raises:** `InputError` for unknown paths, repeated ones, and starting values outside their transform.
+    A number with `bounds` is fitted through a scaled logit, others through the logarithm, positions and
+    directions as they are. **Raises:** `InputError` for unknown paths, repeated ones, and starting values
+    outside their transform.
     """
-    paths = _selected_paths(scene, free) if callable(free) else list(free)
+    if callable(free):
+        paths = _selected_paths(scene, free)
+    else:
+        paths = [free] if isinstance(free, str) else list(free)
     if not paths:
         raise InputError("free is empty; allowed: at least one parameter's path")
     parameters: list[Parameter] = []
@@ -116,11 +122,12 @@ def _names(path: str, shape: tuple[int, ...]) -> str:
 def _transform(path: str, index: int | None, bounds: Mapping[str, tuple[float, float]]) -> Transform:
     limits = bounds.get(f"{path}[{index}]", bounds.get(path))
     if limits is not None:
-        low, high = (float(x) for x in limits)
+        try:
+            low, high = (float(x) for x in limits)
+        except (TypeError, ValueError):
+            low = high = np.nan
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
-            raise InputError(
-                f"bounds of {path} are {low} and {high}; allowed: two finite numbers, the lower first"
-            )
+            raise InputError(f"bounds of {path} are {limits!r}; allowed: two finite numbers, the lower first")
         return Logit(low, high)
     return Identity() if path.rsplit(".", 1)[-1] in _SIGNED else Log()
 
@@ -155,7 +162,8 @@ def _continuations(node: Any, walked: list[str]) -> str:
 
 
 def _selected_paths(scene: Scene, select: Callable[[Scene], Any]) -> list[str]:
-    """The paths of the leaves that a function picks: it is given the scene with each leaf replaced by its path."""
+    """The paths of the leaves that a function picks: it is given the scene with each leaf replaced by its
+    path."""
     leaves, structure = jax.tree_util.tree_flatten_with_path(scene)
     marks = [_Mark(_path_name(keys)) for keys, _ in leaves]
     picked = jax.tree.leaves(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
 from hapjax import Recording, Scene
 from hapjax.files import replacing
 
@@ -17,8 +18,9 @@ from .uncertainty import correlation
 class Estimate:
     """One parameter in its own unit.
 
-    Where it is not `identified`, there is no estimate and no standard error; `interval95` then holds a lower bound
-    where the data give one (a mu is at least the largest |f_t| / f_n seen), else `None`.
+    Where it is not `identified`, there is no estimate and no standard error, and `reason` says why;
+    `interval95` then holds a lower bound where the data give one (a mu is at least the largest |f_t| / f_n
+    seen), else `None`.
     """
 
     estimate: float | None
@@ -26,6 +28,7 @@ class Estimate:
     interval95: tuple[float | None, float | None]
     identified: bool
     interval99: tuple[float, float] | None = None
+    reason: str | None = None
 
 
 @dataclass(frozen=True)
@@ -33,14 +36,17 @@ class FitResult:
     """The outcome of a fit.
 
     `parameters` by path; `scene` with the best values; `loss`, half the sum of squared whitened residuals;
-    `residual_rms` in N (`force`), m (`pose`) and rad (`angle`); `converged`: whether the solver met its tolerances, which
-    is no evidence of a good fit: compare `starts_at_best` of `starts`; `trace`: each start's loss by step.
+    `residual_rms` in N (`force`), m (`pose`) and rad (`angle`); `converged`: whether the solver met its
+    tolerances, which is no evidence of a good fit: compare `starts_at_best` of `starts`; `noise`, the
+    standard deviations that the residuals were divided by: `force` N, `position` m, `angle` rad; `trace`:
+    each start's loss by step.
     """
 
     parameters: Mapping[str, Estimate]
     scene: Scene
     loss: float
     residual_rms: Mapping[str, float]
+    noise: Mapping[str, float]
     converged: bool
     starts: int
     starts_at_best: int
@@ -65,6 +71,7 @@ class FitResult:
                     "standard_error": p.standard_error,
                     "interval95": list(p.interval95),
                     "identified": p.identified,
+                    "reason": p.reason,
                 }
                 for name, p in self.parameters.items()
             },

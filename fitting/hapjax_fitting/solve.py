@@ -16,13 +16,13 @@ Residuals = Callable[[Float[Array, " p"], Any], Float[Array, " n"]]
 
 
 class Solutions(eqx.Module):
-    """Where each start ended: `free` (S, p), its `loss` (S,) = half the sum of squares, evaluated anew, whether the
-    solver met its tolerances, and after how many `steps`."""
+    """Where each start ended: `free` (S, p), its `loss` (S,) = half the sum of squares, evaluated anew,
+    whether the solver met its tolerances, and after how many `steps`."""
 
-    free: Float[Array, "S p"]
-    loss: Float[Array, " S"]
-    converged: Bool[Array, " S"]
-    steps: Int[Array, " S"]
+    free: Float[Array, "*S p"]
+    loss: Float[Array, "*S"]
+    converged: Bool[Array, "*S"]
+    steps: Int[Array, "*S"]
 
 
 @dataclass
@@ -53,7 +53,7 @@ def listen(trace: Trace):
         _listening.remove(trace)
 
 
-def _hear(start: np.ndarray, step: np.ndarray, loss: np.ndarray) -> None:
+def _hear(start: Array, step: Array, loss: Array) -> None:
     for trace in _listening:
         trace.add(int(start), int(step), float(loss))
 
@@ -66,8 +66,8 @@ def jacobian(residuals: Residuals, free: Float[Array, " p"], args: Any) -> Float
 def _told_whole(residuals: Residuals) -> Residuals:
     """The residuals, with the whole Jacobian as their derivative.
 
-    A linearised rollout would keep all its steps' intermediate values for as long as the solver keeps the Jacobian;
-    this keeps the n x p matrix alone, and computes it with all directions side by side.
+    A linearised rollout would keep all its steps' intermediate values for as long as the solver keeps the
+    Jacobian; this keeps the n x p matrix alone, and computes it with all directions side by side.
     """
 
     @jax.custom_jvp
@@ -85,9 +85,15 @@ def _told_whole(residuals: Residuals) -> Residuals:
 
 @eqx.filter_jit
 def solve(
-    residuals: Residuals, starts: Float[Array, "S p"], args: Any, rtol: float, atol: float, max_steps: int
+    residuals: Residuals,
+    starts: Float[Array, "S p"],
+    places: Int[Array, " S"],
+    args: Any,
+    rtol: float,
+    atol: float,
+    max_steps: int,
 ) -> Solutions:
-    """Minimise half the sum of the squared residuals from each start.
+    """Minimise half the sum of the squared residuals from each start; `places` number them in a `Trace`.
 
     `residuals(free, args)` must be the same function object from call to call, else each call compiles anew.
     """
@@ -97,7 +103,7 @@ def solve(
         def tell(num_steps, loss_this_step, **_):
             jax.debug.callback(_hear, place, num_steps[1], loss_this_step[1] * total)
 
-        # Levenberg-Marquardt begins with a damping of 1: right for a problem whose size is about 1 at the start.
+        # Levenberg-Marquardt begins with a damping of 1: right for a problem of about that size.
         total = jnp.sum(residuals(start, args) ** 2)
         scale = jax.lax.rsqrt(jnp.maximum(total, jnp.finfo(start.dtype).tiny))
         solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol, verbose=tell)
@@ -114,4 +120,5 @@ def solve(
         done = solution.result == optx.RESULTS.successful
         return Solutions(solution.value, loss, done, solution.stats["num_steps"])
 
-    return jax.vmap(one)(starts, jnp.arange(starts.shape[0]))
+    # One after the other: on a CPU a batch is no faster, and would run until its slowest start is done.
+    return jax.lax.map(lambda each: one(*each), (starts, places))

@@ -2,14 +2,16 @@
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-from hapjax import InputError
 from jaxtyping import Array, Float
 
+from hapjax import InputError
 
+
+@runtime_checkable
 class Transform(Protocol):
     """A smooth one-to-one map from the real line to the values that a parameter may have."""
 

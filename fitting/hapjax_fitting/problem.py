@@ -1,0 +1,85 @@
+"""The least-squares problem of a fit: its residuals, their Jacobian, and the loss."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hapjax import Recording, Scene
+
+from .observation import Noise, Observation, observation_of, residuals
+from .parameters import Parameter, values_of, with_values
+from .solve import jacobian
+
+# Twice a difference in loss is chi-squared with one degree of freedom, which exceeds this once in a hundred.
+NOTICEABLE = 6.635
+
+
+class Problem(eqx.Module):
+    """What the residuals need besides the free numbers. Recordings of equal sizes are stacked, to run side
+    by side."""
+
+    scene: Scene
+    groups: tuple[Observation, ...]
+    noise: Noise
+    parameters: tuple[Parameter, ...] = eqx.field(static=True)
+
+    def scene_at(self, free: Float[Array, " p"]) -> Scene:
+        """The scene with the free numbers put in."""
+        values = jnp.stack([p.transform.value(x) for p, x in zip(self.parameters, free, strict=True)])
+        return with_values(self.scene, self.parameters, values)
+
+    def measured(self) -> int:
+        """How many numbers were measured: a pose is seven, of which six are free."""
+        sizes = [g.force.value.size for g in self.groups if g.force is not None]
+        return sum(sizes + [g.pose.value.size * 6 // 7 for g in self.groups if g.pose is not None])
+
+    def start(self) -> Float[Array, " p"]:
+        """The free numbers of the scene as it was given."""
+        values = values_of(self.scene, self.parameters)
+        return jnp.stack([p.transform.free(v) for p, v in zip(self.parameters, values, strict=True)])
+
+
+def grouped(
+    scene: Scene, recordings: Sequence[Recording], channels: tuple[str, ...], names: Sequence[str]
+) -> tuple[Observation, ...]:
+    """Observations of equal sizes stacked along a first axis. **Raises:** `InputError` as
+    `observation_of`."""
+    groups: dict[object, list[Observation]] = {}
+    for recording, name in zip(recordings, names, strict=True):
+        laid = observation_of(scene, recording, channels, name)
+        leaves, structure = jax.tree.flatten(laid)
+        groups.setdefault((structure, tuple(x.shape for x in leaves)), []).append(laid)
+    return tuple(jax.tree.map(lambda *x: jnp.stack(x), *group) for group in groups.values())
+
+
+def stacked_residuals(free: Float[Array, " p"], problem: Problem) -> Float[Array, " n"]:
+    """All whitened residuals in one vector."""
+    return jnp.concatenate([r.ravel() for _, r in by_channel(free, problem)])
+
+
+def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Float[Array, "R N m"]]]:
+    """Whitened residuals of each group's channels: of R recordings, N samples of m numbers."""
+    scene = problem.scene_at(free)
+    found = []
+    for group in problem.groups:
+        each = jax.vmap(partial(residuals, scene), in_axes=(0, None))(group, problem.noise)
+        found += list(each.items())
+    return found
+
+
+@eqx.filter_jit
+def evaluate(
+    free: Float[Array, " p"], problem: Problem
+) -> tuple[list[tuple[str, Float[Array, "R N m"]]], Float[Array, "n p"]]:
+    """Residuals by channel, in the order of the Jacobian's rows, and the Jacobian."""
+    return by_channel(free, problem), jacobian(stacked_residuals, free, problem)
+
+
+@eqx.filter_jit
+def loss_at(free: Float[Array, " p"], problem: Problem) -> Float[Array, ""]:
+    """Half the sum of the squared whitened residuals."""
+    return 0.5 * jnp.sum(stacked_residuals(free, problem) ** 2)
