@@ -50,7 +50,8 @@ def drag(surface: Surface, points: Float[Array, "T V 3"], loads: Float[Array, " 
         return point + law.offset, law.dragged.astype(point.dtype), law.force
 
     def all_points(memory, now):
-        god, sliding, force = jax.vmap(one)(*memory, now, loads)
+        god, sliding = memory
+        god, sliding, force = jax.vmap(one)(god, sliding, now, loads)
         return (god, sliding), force
 
     return jax.lax.scan(all_points, (points[0], jnp.zeros_like(loads)), points)[1]
