@@ -1,5 +1,6 @@
 """Checks of the numbers a user gives, each refusing in one sentence."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -11,7 +12,10 @@ from .errors import InputError
 
 
 def as_float(value: Any) -> Any:
-    """A number, list or array as a strongly typed floating JAX array; what is no number passes, for its check to refuse."""
+    """A number, list or array as a strongly typed floating JAX array.
+
+    What is no number passes as it is, for the field's check to refuse.
+    """
     if value is None:
         return None
     dtype = getattr(value, "dtype", None)
@@ -30,6 +34,28 @@ def _is_numeric(value: Any) -> bool:
     return isinstance(value, (int, float, np.number, np.ndarray, jax.Array))
 
 
+def flag(field: str) -> Callable[[Any], bool]:
+    """A converter that lets nothing but true and false pass."""
+
+    def convert(value: Any) -> bool:
+        if not isinstance(value, bool):
+            raise InputError(f"{field} is {value!r}; allowed: true or false")
+        return value
+
+    return convert
+
+
+def count(field: str, high: int) -> Callable[[Any], int]:
+    """A converter that lets nothing but whole numbers from 1 to `high` pass."""
+
+    def convert(value: Any) -> int:
+        if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= high:
+            raise InputError(f"{field} is {value!r}; allowed: a whole number from 1 to {high}")
+        return value
+
+    return convert
+
+
 def is_traced(value: Any) -> bool:
     """Whether the value is known only when the traced function runs, so that its range cannot be checked."""
     return isinstance(value, jax.core.Tracer)
@@ -40,19 +66,18 @@ def check_number(
     value: Any,
     allowed: str,
     *,
-    shape: tuple[int, ...] | tuple[tuple[int, ...], ...] = (),
+    shape: tuple[int, ...] = (),
+    other: tuple[int, ...] | None = None,
     low: float = -np.inf,
     high: float = np.inf,
     open_low: bool = False,
 ) -> None:
-    """Refuse `value` unless it has one of the shapes, is finite and lies in the range. Traced values pass the range.
+    """Refuse `value` unless it has the shape (or the `other` one), is finite and in the range.
 
-    `allowed` is the range in words; `open_low` excludes `low` itself.
+    Of a traced value only the shape is known. `allowed` is the range in words; `open_low` excludes `low` itself.
     """
-    shapes = shape if shape and isinstance(shape[0], tuple) else (shape,)
-    if not isinstance(value, Array) and not isinstance(value, np.ndarray):
-        raise InputError(f"{field} is {_show(value)}, which is not {_describe(shapes)}; allowed: {allowed}")
-    if value.shape not in shapes:
+    shapes = (shape,) if other is None else (shape, other)
+    if not isinstance(value, (Array, np.ndarray)) or value.shape not in shapes:
         raise InputError(f"{field} is {_show(value)}, which is not {_describe(shapes)}; allowed: {allowed}")
     if is_traced(value):
         return

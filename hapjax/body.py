@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from . import rotation
-from ._validate import as_float, check_number, check_positive, is_traced
+from ._validate import as_float, check_number, check_positive, flag, is_traced
 from .errors import InputError
 from .shape import Shape
 
@@ -30,13 +30,13 @@ class Body(eqx.Module):
     mass: Float[Array, ""] = eqx.field(converter=as_float)
     inertia: Float[Array, "3"] | Float[Array, "3 3"] | None = eqx.field(converter=as_float, default=None)
     centre: Float[Array, "3"] | None = eqx.field(converter=as_float, default=None)
-    rotation: bool = eqx.field(static=True, default=True)
+    rotation: bool = eqx.field(static=True, converter=flag("rotation"), default=True)
 
     def __check_init__(self):
         check_positive("mass", self.mass, unit="kg")
         if self.inertia is not None:
             check_number(
-                "inertia", self.inertia, "three numbers or a 3x3 matrix in kg m^2", shape=((3,), (3, 3))
+                "inertia", self.inertia, "three numbers or a 3x3 matrix in kg m^2", shape=(3,), other=(3, 3)
             )
             _check_inertia(self.inertia)
         if self.centre is not None:
@@ -45,8 +45,6 @@ class Body(eqx.Module):
                 raise InputError(
                     "centre is given without inertia; allowed: both, or neither for uniform density"
                 )
-        if not isinstance(self.rotation, bool):
-            raise InputError(f"rotation is {self.rotation!r}; allowed: true or false")
         if not self.rotation and not (self.inertia is None and self.centre is None):
             raise InputError(
                 "rotation is false but inertia or centre is given; allowed: a body that turns, or neither"

@@ -43,13 +43,19 @@ def simulate(scene: Positional[Path], *, hip: Path, out: Path) -> None:
         hip: Recording (.npz, .csv) whose channel hip (m, world frame) is replayed at the scene's time step.
         out: Recording to write (.npz, .csv): hip, force on the fingers, pose of the moving objects.
     """
+    _check_folder(out)
     with jax.enable_x64(True):
         loaded = load_scene(scene)
         dt = float(loaded.integrator.dt)
         path, start = _path_of(hip, dt)
         _, reply = rollout(loaded, init(loaded, path[0]), path)
     times = start + dt * np.arange(len(path))
-    channels: dict[str, Any] = {"hip": path, "hip_t": times, "force": np.asarray(reply.force), "force_t": times}
+    channels: dict[str, Any] = {
+        "hip": path,
+        "hip_t": times,
+        "force": np.asarray(reply.force),
+        "force_t": times,
+    }
     if loaded.moving():
         channels |= {"pose": np.asarray(reply.pose), "pose_t": times + dt}  # a step's poses belong to its end
     with within(f"{scene} with {hip}: the simulation ended with "):
@@ -167,7 +173,9 @@ def _reason(event: parse_errors.ParseErrorEvent) -> str:
         case parse_errors.UnrecognizedArgs(tokens=tokens):
             return f"unknown: {' '.join(tokens)}"
         case parse_errors.BadValue(argument=argument, offending_value=value):
-            return f"{_flag(argument)} has " + ("too few values" if value is None else f"the value {value!r} too many")
+            return f"{_flag(argument)} has " + (
+                "too few values" if value is None else f"the value {value!r} too many"
+            )
         case parse_errors.InstantiationFailure(argument=argument, message=message):
             return f"{'arguments' if argument is None else _flag(argument)}: {' '.join(message.split())}"
     return "the arguments are not understood"
@@ -188,4 +196,6 @@ def _path_of(hip: Path, dt: float) -> tuple[np.ndarray, float]:
 def _check_folder(file: Path | None) -> None:
     """Refuse a file that cannot be written before the work is done, not after."""
     if file is not None and not file.parent.is_dir():
-        raise InputError(f"{file}: the folder {file.parent} does not exist; allowed: a file in an existing folder")
+        raise InputError(
+            f"{file}: the folder {file.parent} does not exist; allowed: a file in an existing folder"
+        )

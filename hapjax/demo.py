@@ -35,7 +35,9 @@ def run_demo(out: Path, seed: int) -> int:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{out}: cannot be made ({error.strerror}); allowed: a folder for the results") from None
+        raise InputError(
+            f"{out}: cannot be made ({error.strerror}); allowed: a folder for the results"
+        ) from None
     console = Console()
     need("hapjax_fitting", "fitting")
     recordings = _record(console, out, seed)
@@ -48,11 +50,20 @@ def _record(console: Console, out: Path, seed: int) -> dict[str, Any]:
     servo, tasks = need("hapjax_devices", "devices"), need("hapjax_devices.demo", "devices")
     save_scene(tasks.scene(), out / "truth.toml")
     recordings, told = {}, set()
-    for name, build in (("three_finger_lift", tasks.three_finger_lift), ("two_finger_swing", tasks.two_finger_swing)):
+    for name, build in (
+        ("three_finger_lift", tasks.three_finger_lift),
+        ("two_finger_swing", tasks.two_finger_swing),
+    ):
         task = build(seed)
-        console.print(f"{name.replace('_', ' ')}: {task.duration:g} s at 1 kHz, {len(task.devices)} virtual devices")
+        console.print(
+            f"{name.replace('_', ' ')}: {task.duration:g} s at 1 kHz, {len(task.devices)} virtual devices"
+        )
         result = servo.run(
-            task.scene, task.devices, task.duration, force_sensor=task.sensors.force, pose_tracker=task.sensors.pose
+            task.scene,
+            task.devices,
+            task.duration,
+            force_sensor=task.sensors.force,
+            pose_tracker=task.sensors.pose,
         )
         for sentence in set(result.refused) - told:
             console.print(f"  {sentence}")
@@ -81,7 +92,14 @@ def _identify(console: Console, out: Path, seed: int, recordings: dict[str, Any]
     console.print(f"fitting {len(free)} numbers to {len(recordings)} recordings, from starts a factor 2 off")
     began = time.perf_counter()
     result = fitting.fit(
-        wrong, list(recordings.values()), _FREE, names=list(recordings), starts=8, spread=2.0, seed=seed, progress=True
+        wrong,
+        list(recordings.values()),
+        _FREE,
+        names=list(recordings),
+        starts=8,
+        spread=2.0,
+        seed=seed,
+        progress=True,
     )
     truths = {p.name: float(v) for p, v in zip(free, values, strict=True)}
     console.print(fitting.table(result, truths))

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._validate import as_float, check_not_negative, check_number, is_traced
+from ._validate import as_float, check_not_negative, check_number, flag, is_traced
 from .body import Body
 from .contact import Contact, is_plane
 from .errors import InputError, within
@@ -65,7 +65,7 @@ class World(eqx.Module):
     """
 
     gravity: Float[Array, "3"] | None = eqx.field(converter=as_float, default=None)
-    gyroscopic: bool = eqx.field(static=True, default=False)
+    gyroscopic: bool = eqx.field(static=True, converter=flag("gyroscopic"), default=False)
     dead_band: Float[Array, ""] | None = eqx.field(converter=as_float, default=None)
 
     def __check_init__(self):
@@ -73,8 +73,6 @@ class World(eqx.Module):
             check_number("gravity", self.gravity, "three numbers in m/s^2", shape=(3,))
         if self.dead_band is not None:
             check_not_negative("dead_band", self.dead_band, unit="N m")
-        if not isinstance(self.gyroscopic, bool):
-            raise InputError(f"gyroscopic is {self.gyroscopic!r}; allowed: true or false")
 
 
 def _ordered(mapping: Any) -> Any:

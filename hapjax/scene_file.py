@@ -44,7 +44,7 @@ def save_scene(scene: Scene, path: str | os.PathLike) -> None:
 
 
 def scene_from_dict(table: Mapping[str, Any]) -> Scene:
-    """The scene that a scene file's tables describe. **Raises:** `InputError` as `load_scene`, without the file's name."""
+    """The scene that a scene file's tables describe. **Raises:** `InputError` as `load_scene`, without a file."""
     _known(table, "", ("object", "contact", "torsion", "world", "integrator"))
     parts: dict[str, Any] = {
         "object": {name: _object(name, t) for name, t in _tables(table, "object").items()},

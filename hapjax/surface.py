@@ -17,7 +17,8 @@ class Surface(eqx.Module):
 
     - `stiffness`: N/m, above 0.
     - `mu`: Coulomb friction, 0 or above: one number, or one a face in the order of the shape's `faces`.
-    - `mu_static`, `mu_kinetic`: instead of `mu`, where breaking away takes more than sliding on; mu_static >= mu_kinetic.
+    - `mu_static`, `mu_kinetic`: instead of `mu`, where breaking away takes more than sliding on; the static one is
+      the larger.
     - `damping`: Hunt-Crossley loss c in s/m, 0 or above. `None`: none, and no arithmetic for it.
 
     **Raises:** `InputError` where a number is out of its range, or neither or both kinds of mu are given.
@@ -35,9 +36,8 @@ class Surface(eqx.Module):
             check_not_negative("damping", self.damping, unit="s/m")
         names = [n for n in ("mu", "mu_static", "mu_kinetic") if getattr(self, n) is not None]
         if names not in (["mu"], ["mu_static", "mu_kinetic"]):
-            raise InputError(
-                f"{' and '.join(names) or 'no mu'} given; allowed: mu alone, or mu_static with mu_kinetic"
-            )
+            given = f"{' and '.join(names)} given" if names else "mu is missing"
+            raise InputError(f"{given}; allowed: mu alone, or mu_static with mu_kinetic")
         for name in names:
             value = getattr(self, name)
             shape = getattr(value, "shape", ())
@@ -74,7 +74,8 @@ def _check_order(static: Any, kinetic: Any) -> None:
         return
     if static.shape != kinetic.shape:
         raise InputError(
-            f"mu_static has shape {static.shape} and mu_kinetic {kinetic.shape}; allowed: both one number, or both one a face"
+            f"mu_static has shape {static.shape} and mu_kinetic {kinetic.shape}; "
+            "allowed: both one number, or both one a face"
         )
     if np.any(np.asarray(kinetic) > np.asarray(static)):
         raise InputError(

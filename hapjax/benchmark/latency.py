@@ -38,9 +38,8 @@ def measure(scene: Scene | None, fingers: int, seconds: float) -> dict[str, Any]
     if not 0 < seconds <= 3600:
         raise InputError(f"seconds is {seconds}; allowed: above 0, at most 3600")
     servo = need("hapjax_devices", "devices")
-    task = need("hapjax_devices.demo", "devices").three_finger_lift(0)
     if scene is None:
-        scene, devices = task.scene, task.devices
+        scene, devices, *_ = need("hapjax_devices.demo", "devices").three_finger_lift(0)
     else:
         # Apart from each other and from nearby objects: a step does the same arithmetic wherever the fingers are.
         devices = [servo.VirtualDevice(np.array([[0.1 * i, 0.0, 1.0]])) for i in range(fingers)]

@@ -5,9 +5,8 @@ from abc import abstractmethod
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from .._validate import as_float, check_number, check_positive
+from .._validate import as_float, check_number, check_positive, count
 from ..body import Body, Motion, Wrench
-from ..errors import InputError
 from ..grasp import Twist
 from ..shape import Shape
 
@@ -20,17 +19,11 @@ class Integrator(eqx.Module):
     """
 
     dt: Float[Array, ""] = eqx.field(converter=as_float, default=1e-3)
-    substeps: int = eqx.field(static=True, default=1)
+    substeps: int = eqx.field(static=True, converter=count("substeps", 10_000), default=1)
 
     def __check_init__(self):
         check_positive("dt", self.dt, unit="s")
         check_number("dt", self.dt, "above 0 and at most 1 s", high=1.0)
-        if (
-            not isinstance(self.substeps, int)
-            or isinstance(self.substeps, bool)
-            or not 1 <= self.substeps <= 10_000
-        ):
-            raise InputError(f"substeps is {self.substeps!r}; allowed: a whole number from 1 to 10000")
 
     @abstractmethod
     def advance(
@@ -43,4 +36,4 @@ class Integrator(eqx.Module):
         twist: Twist | None,
         dt: Float[Array, ""],
     ) -> Motion:
-        """The motion after `dt` seconds under a wrench about the centre of mass; a locked `twist` axis keeps no spin."""
+        """The motion after `dt` s under a wrench about the centre of mass; a locked `twist` axis keeps no spin."""

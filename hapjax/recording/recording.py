@@ -83,7 +83,9 @@ class Recording:
             raise InputError(f"hip spans {span:g} s; expected at most 10 million intervals of {dt:g} s")
         grid = self.hip_t[0] + dt * np.arange(int(np.floor(span / dt + 1e-6)) + 1)
         flat = self.hip.reshape(len(self.hip_t), -1)
-        return np.stack([np.interp(grid, self.hip_t, c) for c in flat.T], axis=-1).reshape(-1, *self.hip.shape[1:])
+        return np.stack([np.interp(grid, self.hip_t, c) for c in flat.T], axis=-1).reshape(
+            -1, *self.hip.shape[1:]
+        )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "Recording":
