@@ -1,6 +1,6 @@
 """What a haptic device is to the servo loop: a fingertip's position in, a force out."""
 
-from typing import Protocol, Self, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -44,6 +44,6 @@ class Device(Protocol):
         """Let go: no force any more. Closing twice is no error."""
         ...
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> "Device": ...
 
     def __exit__(self, *exception) -> None: ...

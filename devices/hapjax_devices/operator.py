@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from hapjax import InputError
 
@@ -81,7 +82,7 @@ class Operator:
 
 
 def waypoints(
-    times: Sequence[float], values: Sequence, t: Float[np.ndarray, "T"]
+    times: Sequence[float], values: ArrayLike, t: Float[np.ndarray, "T"]
 ) -> Float[np.ndarray, "T ..."]:
     """Smooth passage from value to value: at rest at each of `times` (s), and of least jerk in between.
 

@@ -6,8 +6,8 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Protocol
+from contextlib import contextmanager, suppress
+from typing import Protocol, runtime_checkable
 
 SPIN_NS = 150_000  # a sleep may end this late; the rest of the wait is spent spinning
 PRIORITY = (
@@ -17,6 +17,7 @@ _CLOCK_MONOTONIC, _TIMER_ABSTIME = 1, 1
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 
+@runtime_checkable
 class Clock(Protocol):
     """Time in whole nanoseconds that never goes back."""
 
@@ -110,9 +111,23 @@ def uncollected() -> Iterator[None]:
 
 
 def _real_time_priority() -> Callable[[], object]:
-    policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
-    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    return lambda: os.sched_setscheduler(0, policy, parameter)
+    # Of every thread: compiled steps are run by a pool of threads that JAX made before.
+    before: dict[int, tuple[int, os.sched_param]] = {}
+
+    def put_back() -> None:
+        for thread, (policy, parameter) in before.items():
+            with suppress(ProcessLookupError):  # it has ended
+                os.sched_setscheduler(thread, policy, parameter)
+
+    try:
+        for thread in map(int, os.listdir("/proc/self/task")):
+            with suppress(ProcessLookupError):
+                before[thread] = os.sched_getscheduler(thread), os.sched_getparam(thread)
+                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except OSError:
+        put_back()
+        raise
+    return put_back
 
 
 def _locked_memory() -> Callable[[], object]:

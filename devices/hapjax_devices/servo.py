@@ -13,7 +13,7 @@ import hapjax
 from hapjax import InputError, Scene
 from hapjax.recording import Recording
 
-from .device import Device
+from .device import Device, DeviceError
 from .realtime import MonotonicClock, Pacer, uncollected, undisturbed
 from .safety import ForceGuard
 from .sensor import ForceSensor, PoseTracker
@@ -73,7 +73,7 @@ def run(
         number of times into the loop's. `None`: the recording is without that channel.
     - `realtime`: `False` runs as fast as it can, with the same recording on virtual devices.
 
-    **Raises:** `InputError` for arguments out of range; `DeviceError` from a device.
+    **Raises:** `InputError` for arguments out of range; `DeviceError` from a device, or where one reads NaN.
     """
     ticks = _ticks(duration, rate)
     if not devices:
@@ -111,6 +111,8 @@ def _loop(packed: hapjax.PackedStep, devices, guard: ForceGuard, log: "_Log", pa
         began = time.perf_counter_ns()
         for finger, device in enumerate(devices):
             hip[finger] = device.read()
+        if not np.isfinite(hip).all():
+            raise DeviceError(f"tick {tick}: the devices read {hip.tolist()} m; a position must be finite")
         memory = packed.call(memory, hip)
         force = guard(packed.force(memory))
         for finger, device in enumerate(devices):

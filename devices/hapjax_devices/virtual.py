@@ -1,7 +1,5 @@
 """A haptic device that is not there, with the faults of one that is."""
 
-from typing import Self
-
 import numpy as np
 from jaxtyping import Float
 
@@ -74,7 +72,7 @@ class VirtualDevice:
         self._operator = None
         self.output = np.zeros(3)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "VirtualDevice":
         self.open()
         return self
 
