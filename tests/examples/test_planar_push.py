@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -64,16 +65,17 @@ def quasi_static(tool, heading, angle, mu, steps=100, length=0.02):
 def recorded(mu, seed, count=12, noise=0.3):
     """What a file would hold of such pushes: an approach, rounded tips, noisy forces and poses."""
     rng = np.random.default_rng(seed)
+    pose_noise = noise * np.array([3e-4, 3e-4, 3e-3])
     side = rng.uniform(0, 2 * np.pi, count)
     tool = 0.07 * np.stack([np.cos(side), np.sin(side)], -1)
     angle = rng.uniform(-np.pi, np.pi, count)
-    heading = side + angle + np.pi + rng.uniform(-0.4, 0.4, count)
+    heading = side + angle + np.pi + rng.uniform(-1, 1, count)
     tip, force, before, after = quasi_static(tool, heading, angle, mu)
     step = tip[:, 1:2] - tip[:, :1]
     tip = np.concatenate([tip[:, :1] - step * np.arange(20, 0, -1)[:, None], tip], 1)
     force = np.concatenate([np.zeros((count, 20, 2)), force], 1)
     force = force + noise * rng.standard_normal(force.shape)
-    poses = [p + rng.standard_normal(p.shape) * [1e-4, 1e-4, 1e-3] for p in (before, after)]
+    poses = [p + rng.standard_normal(p.shape) * pose_noise for p in (before, after)]
     return {
         "t": np.tile(np.arange(120) * 0.05, count),
         "tip": tip.reshape(-1, 2).round(4),
@@ -111,6 +113,15 @@ def test_finds_the_mu_that_an_independent_simulator_pushed_with(tmp_path):
         inside.append(found.interval95[0] < mu < found.interval95[1])
     # Of 20 intervals of 95 %, fewer than 17 hold the truth once in 60 times.
     assert sum(inside) >= 17
+
+
+def test_at_the_true_mu_friction_balances_the_push(tmp_path):
+    loaded, _ = pushes.load(save(tmp_path, recorded(0.3, seed=7, count=3, noise=0)), 1e5)
+    spans = loaded.wrench.shape[1]
+    left = np.sqrt(spans) * planar_push.unbalanced(jnp.log(jnp.array([0.3])), loaded)
+    pushed, remains = (np.sqrt(np.mean(x[:, 5:] ** 2, axis=(0, 1))) for x in (loaded.wrench, left))
+    assert np.all(pushed > 1)  # N: off the centre, so that the moment too has something to balance
+    assert np.all(remains < 0.1 * pushed)  # what is left is that the true turn is not quite in proportion
 
 
 @pytest.mark.slow
