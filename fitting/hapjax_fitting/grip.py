@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from hapjax import Scene, init, rollout, rotation, safe
 
@@ -13,6 +14,16 @@ from .observation import Observation
 from .parameters import Parameter
 from .problem import NOTICEABLE, Problem, loss_at
 from .transform import Logit
+
+
+class Grip(eqx.Module):
+    """Touches over time: normal and tangential force (N), the face touched, and the normal in the world
+    frame, which is `None` for contacts."""
+
+    normal_force: Float[Array, "*r n"]
+    friction_force: Float[Array, "*r n"]
+    face: Int[Array, "*r n"]
+    direction: Float[Array, "*r n 3"] | None
 
 
 def is_mu(parameter: Parameter) -> bool:
@@ -87,20 +98,18 @@ def largest_ratio(scene: Scene, groups: Sequence[Observation], parameter: Parame
     """
     largest = 0.0
     for group in groups:
-        normal, tangential, face = (np.asarray(x) for x in grips(scene, group.hips)[_part(parameter)])
+        grip = grips(scene, group.hips)[_part(parameter)]
+        normal, tangential = np.asarray(grip.normal_force), np.asarray(grip.friction_force)
         firm = normal > 1e-3 * normal.max(initial=0)
         if parameter.index is not None:
-            firm &= face == parameter.index
+            firm &= np.asarray(grip.face) == parameter.index
         largest = max(largest, float(np.max(tangential[firm] / normal[firm], initial=0)))
     return largest
 
 
 @jax.jit
-def grips(scene: Scene, hips: Float[Array, "R T F 3"]):
-    """Normal and tangential force (N) of every finger on every object, and of every contact point, over time.
-
-    And the face that each touches, by the object's or contact's path.
-    """
+def grips(scene: Scene, hips: Float[Array, "R T F 3"]) -> dict[str, Grip]:
+    """The grip of every finger on every object, and of every contact's points, by path, over time."""
 
     def one(path):
         state = init(scene, path[0])
@@ -115,15 +124,14 @@ def grips(scene: Scene, hips: Float[Array, "R T F 3"]):
                 orientation = jnp.concatenate([orientation, pose[:-1, 3:]])
             matrix = jnp.broadcast_to(jax.vmap(rotation.to_matrix)(orientation), (len(path), 3, 3))
             local = jax.vmap(rotation.turn_back)(matrix, path - position[:, None, :])
-            face = jax.vmap(jax.vmap(lambda point, shape=thing.shape: shape.closest(point).face))(local)
-            found[f"object.{name}"] = (touch.normal_force, safe.norm(touch.friction_force), face)
-        for name, touch in reply.contact.items():
-            normal = touch.normal_force
-            found[f"contact.{name}"] = (
-                normal,
-                safe.norm(touch.friction_force),
-                jnp.zeros(normal.shape, jnp.int32),
+            near = jax.vmap(jax.vmap(thing.shape.closest))(local)
+            direction = jax.vmap(rotation.turn)(matrix, near.normal)
+            found[f"object.{name}"] = Grip(
+                touch.normal_force, safe.norm(touch.friction_force), near.face, direction
             )
+        for name, touch in reply.contact.items():
+            face = jnp.zeros(touch.normal_force.shape, jnp.int32)
+            found[f"contact.{name}"] = Grip(touch.normal_force, safe.norm(touch.friction_force), face, None)
         return found
 
     return jax.vmap(one)(hips)

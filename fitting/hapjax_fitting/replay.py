@@ -1,0 +1,158 @@
+"""Recordings played through the fitted scene: what is plotted beside what was measured."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from hapjax import Recording, Scene, Surface, rotation
+
+from .grip import grips
+from .observation import CHANNELS, Observation, observation_of, predicted
+from .result import FitResult
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One channel: measured and predicted values (N, n, m) at the times (N,) s of the samples."""
+
+    time: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
+
+
+@dataclass(frozen=True)
+class Touching:
+    """How fingers touch one object, or an object's points another: over the model's steps (T,) s.
+
+    `normal` and `tangential` (T, n) N; `slipping` (T, n); `limit` (T, n) N, mu times the normal force,
+    `None` where mu is not known; `mu`, the slopes of the cone's edge by what they are called; `measured` (K,
+    2) N, the measured normal and tangential force of those samples at which a finger touches this object and
+    no other.
+    """
+
+    path: str
+    time: np.ndarray
+    normal: np.ndarray
+    tangential: np.ndarray
+    slipping: np.ndarray
+    limit: np.ndarray | None
+    mu: Mapping[str, float]
+    measured: np.ndarray | None
+
+    def taken_together(self) -> "Touching":
+        """All points as one, which slips when every point that touches does."""
+        touches = self.normal > 0
+        slipping = (self.slipping | ~touches).all(axis=1, keepdims=True) & touches.any(axis=1, keepdims=True)
+        normal = self.normal.sum(axis=1, keepdims=True)
+        tangential = self.tangential.sum(axis=1, keepdims=True)
+        limit = None if self.limit is None else self.limit.sum(axis=1, keepdims=True)
+        return replace(self, normal=normal, tangential=tangential, slipping=slipping, limit=limit)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A recording beside what the fitted scene says of it."""
+
+    channels: dict[str, Compared]
+    touching: list[Touching]
+
+
+def replay(result: FitResult, recording: Recording, name: str) -> Replay:
+    """Play a recording through the fitted scene."""
+    scene = result.scene
+    observation = observation_of(scene, recording, _channels(scene, recording), name)
+    said = jax.jit(predicted)(scene, observation)
+    assert recording.hip_t is not None
+    dt = float(scene.integrator.dt)
+    times = recording.hip_t[0] + dt * np.arange(len(observation.hips))
+    channels = {}
+    for key in said:
+        samples = getattr(observation, key)
+        time = times[0] + dt * (np.asarray(samples.index) + np.asarray(samples.weight, np.float64))
+        channels[key] = Compared(time, np.asarray(samples.value), np.asarray(said[key]))
+    played = grips(scene, observation.hips[None])
+    found = {path: jax.tree.map(lambda x: np.asarray(x)[0], grip) for path, grip in played.items()}
+    return Replay(channels, [_touching(result, path, found, times, observation) for path in found])
+
+
+def _channels(scene: Scene, recording: Recording) -> tuple[str, ...]:
+    posed = recording.pose is not None and recording.pose.shape[1] == len(scene.moving()) > 0
+    return CHANNELS if posed else ("force",)
+
+
+def _touching(
+    result: FitResult, path: str, found: dict[str, Any], times: np.ndarray, observation: Observation
+) -> Touching:
+    grip, surface = found[path], _surface(result.scene, path)
+    static = surface.mu if surface.mu_static is None else surface.mu_static
+    limit = _of_face(static, grip.face) * grip.normal_force
+    size = grip.friction_force
+    slipping = (size > 0) & (size >= (1 - 1e-4) * limit)
+    if surface.mu_kinetic is not None:
+        sliding = _of_face(surface.mu_kinetic, grip.face) * grip.normal_force
+        slipping |= (size > 0) & (np.abs(size - sliding) <= 1e-4 * sliding)
+    measured = _measured(path, found, observation) if grip.direction is not None else None
+    slopes = _slopes(result, path, np.unique(grip.face[grip.normal_force > 0]))
+    if any("at least" in name for name in slopes) or not slopes:
+        limit = None
+    return Touching(path, times, grip.normal_force, size, slipping, limit, slopes, measured)
+
+
+def _slopes(result: FitResult, path: str, faces: np.ndarray) -> dict[str, float]:
+    """Each mu of the faces that were touched; a lower bound where that is all that is known."""
+    found = {}
+    surface = _surface(result.scene, path)
+    prefix = f"{path}.surface" if path.startswith("object.") else path
+    for field in ("mu", "mu_static", "mu_kinetic"):
+        value = getattr(surface, field)
+        if value is None:
+            continue
+        for face in faces if value.ndim else [None]:
+            name = f"{prefix}.{field}" if face is None else f"{prefix}.{field}[{face}]"
+            fitted = result.parameters.get(name)
+            label = field if face is None else f"{field}[{face}]"
+            if fitted is None or fitted.identified:
+                found[label] = float(value if face is None else value[face])
+            elif fitted.interval95[0] is not None:
+                found[f"{label} at least"] = fitted.interval95[0]
+    return found
+
+
+def _surface(scene: Scene, path: str) -> Surface:
+    kind, name = path.split(".")
+    surface = scene.object[name].surface if kind == "object" else scene.contact[name]
+    assert surface is not None
+    return surface
+
+
+def _of_face(mu, face: np.ndarray) -> np.ndarray:
+    value = np.asarray(mu)
+    return value[face] if value.ndim else value
+
+
+def _measured(path: str, found: dict[str, Any], observation: Observation) -> np.ndarray | None:
+    """Measured forces taken apart along the normals that the model has at those times."""
+    if observation.force is None:
+        return None
+    index = np.asarray(observation.force.index) + np.round(np.asarray(observation.force.weight)).astype(int)
+    alone = found[path].normal_force > 0
+    for other, grip in found.items():
+        if other != path and grip.direction is not None:
+            alone &= ~(grip.normal_force > 0)
+    force, direction = np.asarray(observation.force.value), found[path].direction[index]
+    normal = np.sum(force * direction, axis=-1)
+    tangential = np.linalg.norm(force - normal[..., None] * direction, axis=-1)
+    return np.stack([normal, tangential], axis=-1)[alone[index]]
+
+
+def relative_turns(first: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
+    """The rotation vectors (N, O, 3) rad that lead from orientations (O, 4) to others (N, O, 4), world
+    frame."""
+
+    def one(p, q):
+        return rotation.to_rotation_vector(rotation.product(rotation.normalise(q), rotation.conjugate(p)))
+
+    return np.asarray(jax.jit(jax.vmap(jax.vmap(one), in_axes=(None, 0)))(first, quaternions))

@@ -1,0 +1,180 @@
+"""A fit for people: a table for the terminal, and one HTML page with plots that needs nothing else."""
+
+import os
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from hapjax import InputError
+from hapjax.files import replacing
+
+from .result import Estimate, FitResult
+
+_STYLE = """
+:root { color-scheme: light dark; }
+body { font: 16px/1.5 system-ui, sans-serif; margin: 0 auto; max-width: 76rem; padding: 0 1rem 3rem; }
+h1 { font-size: 1.6rem; } h2 { font-size: 1.25rem; margin-top: 2.5rem; }
+.wide { overflow-x: auto; } table { border-collapse: collapse; }
+th, td { padding: .3rem .8rem; text-align: right; border-bottom: 1px solid #8886; white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; }
+td.words { white-space: normal; min-width: 14rem; } th:last-child, td.words { text-align: left; }
+figure { margin: 1rem 0; overflow-x: auto; background: #fff; border-radius: 4px; }
+figure img { display: block; width: 100%; min-width: 36rem; }
+.warn { border-left: 4px solid #d55e00; padding-left: .8rem; }
+"""
+
+
+def table(result: FitResult, truth: Mapping[str, float] | None = None, *, interval99: bool = False) -> Table:
+    """The parameters as a table for the terminal; print it with rich.
+
+    **Arguments:** `truth`, the true values by the parameters' names, where they are known; `interval99`: show
+    99 % intervals instead of 95 %.
+
+    **Raises:** `InputError` where `truth` names what was not free.
+    """
+    _check_truth(result, truth)
+    caption = "\n".join(_warnings(result)) or None
+    shown = Table(title="Fitted parameters", title_justify="left", caption=caption, caption_justify="left")
+    first, *numbers, last = _headings(truth, interval99)
+    shown.add_column(first, overflow="fold")
+    for heading in numbers:
+        shown.add_column(heading, justify="right", no_wrap=True)
+    shown.add_column(last)
+    for name, estimate in result.parameters.items():
+        shown.add_row(*_cells(name, estimate, truth, interval99))
+    return shown
+
+
+def write_report(
+    result: FitResult, folder: str | os.PathLike[str], truth: Mapping[str, float] | None = None
+) -> Path:
+    """Write `report.html` into a folder, which is made if need be, and return the file's path.
+
+    The page is complete in itself, and it is written whole or not at all.
+
+    **Arguments:** `truth` as for `table`.
+
+    **Raises:** `InputError` where the file cannot be written, or `truth` names what was not free.
+    """
+    from . import plots  # matplotlib takes long to import
+
+    _check_truth(result, truth)
+    path = Path(folder) / "report.html"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: no such folder can be made: {error.strerror or error}") from error
+    page = _page(result, truth, plots.figures(result, truth))
+    with replacing(path) as file:
+        file.write(page)
+    return path
+
+
+def _page(result: FitResult, truth: Mapping[str, float] | None, figures) -> str:
+    sections = "".join(
+        f"<section><h2>{escape(heading)}</h2>{''.join(_figure(*f) for f in group)}</section>\n"
+        for heading, group in figures.items()
+    )
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>hapjax fit</title><style>{_STYLE}</style></head><body>\n"
+        f"<h1>Fit of {_count(len(result.parameters), 'parameter')} to "
+        f"{_count(len(result.recordings), 'recording')}</h1>\n"
+        f"{_html_table(result, truth)}\n{_summary(result)}\n{sections}</body></html>\n"
+    )
+
+
+def _figure(png: str, caption: str) -> str:
+    text = escape(caption)
+    image = f'<img alt="{text}" src="data:image/png;base64,{png}">'
+    return f"<figure>{image}</figure>\n"
+
+
+def _html_table(result: FitResult, truth: Mapping[str, float] | None) -> str:
+    head = "".join(f"<th>{escape(h)}</th>" for h in _headings(truth, False))
+    rows = []
+    for name, estimate in result.parameters.items():
+        *numbers, words = _cells(name, estimate, truth, False)
+        cells = "".join(f"<td>{escape(c)}</td>" for c in numbers)
+        rows.append(f'<tr>{cells}<td class="words">{escape(words)}</td></tr>')
+    return f'<div class="wide"><table><tr>{head}</tr>{"".join(rows)}</table></div>'
+
+
+def _summary(result: FitResult) -> str:
+    rms = ", ".join(
+        f"{channel} {value * scale:.3g} {unit} (noise {result.noise[key] * scale:.3g} {unit})"
+        for channel, key, scale, unit in (
+            ("force", "force", 1e3, "mN"),
+            ("position", "position", 1e3, "mm"),
+            ("angle", "angle", 180 / np.pi, "degrees"),
+        )
+        if (value := result.residual_rms.get("pose" if key == "position" else key)) is not None
+    )
+    lines = [
+        f"<p>Residuals, root mean square: {rms}.</p>",
+        f"<p>{result.starts_at_best} of {_count(result.starts, 'start')} ended at the best loss, "
+        f"{result.loss:.6g}; it took {result.wall_s:.1f} s.</p>",
+    ]
+    return "\n".join(lines + [f'<p class="warn">{escape(w)}</p>' for w in _warnings(result)])
+
+
+def _warnings(result: FitResult) -> list[str]:
+    found = []
+    if not result.converged:
+        found.append("The solver reached max_steps before it met its tolerances: a better fit may exist.")
+    if result.starts > 1 and result.starts_at_best == 1:
+        found.append("Only one start ended at the best loss: a better one may have been missed.")
+    sizes = {key: result.residual_rms["pose" if key == "position" else key] for key in result.noise}
+    large = {key: rms / result.noise[key] for key, rms in sizes.items() if rms > 2 * result.noise[key]}
+    if large:
+        times = ", ".join(f"{key} {ratio:.1f} times" for key, ratio in large.items())
+        found.append(
+            f"The residuals are larger than the noise ({times}): the model as fitted does not explain the "
+            "recordings, and the parameters may err by more than their intervals."
+        )
+    return found
+
+
+def _headings(truth: Mapping[str, float] | None, interval99: bool) -> list[str]:
+    width = "99" if interval99 else "95"
+    truths = [] if truth is None else ["truth"]
+    return ["parameter", *truths, "estimate", "standard error", f"{width} % interval", "identified"]
+
+
+def _cells(name: str, estimate: Estimate, truth: Mapping[str, float] | None, interval99: bool) -> list[str]:
+    """A row: the numbers to so many digits that the standard error has two."""
+    error = estimate.standard_error
+    truths = [] if truth is None else ["" if name not in truth else _digits(truth[name], error)]
+    if estimate.estimate is None or error is None:
+        return [name, *truths, "", "", "", f"no: {in_words(estimate)}"]
+    interval = estimate.interval99 if interval99 and estimate.interval99 else estimate.interval95
+    ends = " to ".join(_digits(end, error) for end in interval if end is not None)
+    return [name, *truths, _digits(estimate.estimate, error), f"{error:.2g}", ends, "yes"]
+
+
+def in_words(estimate: Estimate) -> str:
+    """What is known of a parameter that is not identified, and why it is no more."""
+    low = estimate.interval95[0]
+    reason = estimate.reason or "not identified"
+    return reason if low is None else f"at least {low:.3g}: {reason}"
+
+
+def _digits(value: float, error: float | None) -> str:
+    if not error or not value:
+        return f"{value:.6g}"
+    digits = int(np.floor(np.log10(abs(value))) - np.floor(np.log10(error))) + 2
+    return f"{value:#.{min(max(digits, 2), 15)}g}".rstrip(".")
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def _check_truth(result: FitResult, truth: Mapping[str, float] | None) -> None:
+    for name in truth or {}:
+        if name not in result.parameters:
+            raise InputError(f"truth names {name}; allowed: {', '.join(result.parameters)}")
