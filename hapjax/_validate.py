@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array
 
 from .errors import InputError
@@ -58,7 +59,7 @@ def count(field: str, high: int) -> Callable[[Any], int]:
 
 def is_traced(value: Any) -> bool:
     """Whether the value is known only when the traced function runs, so that its range cannot be checked."""
-    return isinstance(value, jax.core.Tracer)
+    return isinstance(value, Tracer)
 
 
 def check_number(

@@ -38,18 +38,14 @@ def measure(scene: Scene | None, fingers: int, seconds: float) -> dict[str, Any]
     if not 0 < seconds <= 3600:
         raise InputError(f"seconds is {seconds}; allowed: above 0, at most 3600")
     servo = need("hapjax_devices", "devices")
-    if scene is None:
-        scene, devices, *_ = need("hapjax_devices.demo", "devices").three_finger_lift(0)
-    else:
-        # Apart from each other and from nearby objects: a step does the same arithmetic wherever the fingers are.
-        devices = [servo.VirtualDevice(np.array([[0.1 * i, 0.0, 1.0]])) for i in range(fingers)]
+    felt, devices = _felt(scene, fingers)
     hip = np.stack([np.asarray(device.path[0]) for device in devices])
-    scan_step, scan_compile = _scan(scene, hip)
-    packed = pack(scene, hip, 1 / RATE)
-    loop = servo.run(scene, devices, seconds, RATE)
+    scan_step, scan_compile = _scan(felt, hip)
+    packed = pack(felt, hip, 1 / RATE)
+    loop = servo.run(felt, devices, seconds, RATE)
     return {
         "device": str(jax.devices()[0]),
-        "dtype": str(dtype_of(scene)),
+        "dtype": str(dtype_of(felt)),
         "fingers": len(devices),
         "scan_step_us": scan_step,
         "packed_call_us": _percentiles(_calls(packed.call, packed, hip)),
@@ -58,6 +54,16 @@ def measure(scene: Scene | None, fingers: int, seconds: float) -> dict[str, Any]
         "loop": loop.summary(),
         "refused": list(loop.refused),
     }
+
+
+def _felt(scene: Scene | None, fingers: int) -> tuple[Scene, list[Any]]:
+    """The scene that is measured, and the virtual devices that feel it."""
+    if scene is None:
+        task = need("hapjax_devices.demo", "devices").three_finger_lift(0)
+        return task.scene, task.devices
+    virtual = need("hapjax_devices", "devices").VirtualDevice
+    # Apart from each other and from nearby objects: a step does the same arithmetic wherever the fingers are.
+    return scene, [virtual(np.array([[0.1 * i, 0.0, 1.0]])) for i in range(fingers)]
 
 
 def report(scene: Scene | None, fingers: int, seconds: float, file: Path | None) -> None:

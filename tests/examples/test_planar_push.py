@@ -7,15 +7,13 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+import planar_push
+import pushes
 import pytest
 
 import hapjax
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-sys.path.insert(0, str(EXAMPLES))
-
-import planar_push  # noqa: E402  # pyright: ignore[reportMissingImports]
-import pushes  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 PULL_TEST = 0.282
 FEET = np.array([[-0.04, -0.04], [0.08, -0.04], [-0.04, 0.08]])
