@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import matrix, quaternion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import hapjax
+from helpers import matrix, quaternion
 
 FAR = 1e-12  # m
 WEAK = 1e-9  # N
