@@ -96,7 +96,7 @@ def _identify(console: Console, out: Path, seed: int, recordings: dict[str, Any]
         list(recordings.values()),
         _FREE,
         names=list(recordings),
-        starts=8,
+        starts=4,
         spread=2.0,
         seed=seed,
         progress=True,

@@ -6,6 +6,7 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
+from rich.box import SIMPLE
 from rich.table import Table
 
 from hapjax import InputError
@@ -37,15 +38,32 @@ def table(result: FitResult, truth: Mapping[str, float] | None = None, *, interv
     """
     _check_truth(result, truth)
     caption = "\n".join(_warnings(result)) or None
-    shown = Table(title="Fitted parameters", title_justify="left", caption=caption, caption_justify="left")
-    first, *numbers, last = _headings(truth, interval99)
-    shown.add_column(first, overflow="fold")
-    for heading in numbers:
+    shown = Table(
+        title="Fitted parameters", title_justify="left", caption=caption, caption_justify="left", box=SIMPLE
+    )
+    rows = [_row(name, estimate, truth, interval99) for name, estimate in result.parameters.items()]
+    name, *truths, estimated, interval = _row_headings(truth, interval99)
+    shown.add_column(name, no_wrap=True)
+    for heading in truths:
         shown.add_column(heading, justify="right", no_wrap=True)
-    shown.add_column(last)
-    for name, estimate in result.parameters.items():
-        shown.add_row(*_cells(name, estimate, truth, interval99))
+    for heading in (estimated, interval):  # these may break between their words on a narrow terminal
+        shown.add_column(heading, justify="right")
+    for row in rows:
+        shown.add_row(*row)
     return shown
+
+
+def _row_headings(truth: Mapping[str, float] | None, interval99: bool) -> list[str]:
+    first, *truths, estimate, error, interval, _ = _headings(truth, interval99)
+    return [first, *truths, f"{estimate} ± {error}", interval]
+
+
+def _row(name: str, estimate: Estimate, truth: Mapping[str, float] | None, interval99: bool) -> list[str]:
+    """The terminal's row: the cells, with fewer columns."""
+    name, *truths, value, error, interval, words = _cells(name, estimate, truth, interval99)
+    return (
+        [name, *truths, f"{value} ± {error}", interval] if value else [name, *truths, "not identified", words]
+    )
 
 
 def write_report(

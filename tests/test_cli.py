@@ -1,0 +1,135 @@
+"""The commands as a user runs them: what they write, print and return."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hapjax
+from hapjax.cli import main
+
+HAPJAX = str(Path(sys.executable).parent / "hapjax")
+TABLE = """
+[object.table]
+shape = "plane"
+[object.table.surface]
+mu = {mu}
+stiffness = {stiffness}
+"""
+CUBE = """
+[object.cube]
+shape = "box"
+size = [0.06, 0.06, 0.06]
+position = [0.0, 0.0, 0.5]
+[object.cube.body]
+mass = 0.2
+[world]
+gravity = [0.0, 0.0, -10.0]
+[integrator]
+dt = 0.01
+"""
+
+
+def write_table(path, mu, stiffness):
+    path.write_text(TABLE.format(mu=mu, stiffness=stiffness))
+    return str(path)
+
+
+@pytest.fixture
+def stroke(tmp_path):
+    """A finger that presses 2 mm into the table and rubs to and fro."""
+    t = np.arange(400) * 1e-3
+    hip = np.stack([0.01 * np.sin(20 * t), 0 * t, np.full_like(t, -0.002)], -1)[:, None]
+    hapjax.Recording(hip=hip, hip_t=t).save(tmp_path / "stroke.npz")
+    return str(tmp_path / "stroke.npz")
+
+
+def test_simulate_writes_the_forces_of_the_scene(tmp_path, stroke):
+    scene = write_table(tmp_path / "table.toml", 0.5, 1000.0)
+    assert main(["simulate", scene, "--hip", stroke, "--out", str(tmp_path / "answer.csv")]) == 0
+    answer = hapjax.Recording.load(tmp_path / "answer.csv")
+    assert answer.pose is None
+    np.testing.assert_array_equal(answer.hip, hapjax.Recording.load(stroke).hip)
+    np.testing.assert_allclose(answer.force[:, 0, 2], 2.0, rtol=1e-12)
+    assert np.max(np.abs(answer.force[:, 0, 0])) == pytest.approx(1.0, rel=1e-12)  # mu times the normal force
+
+
+def test_simulate_dates_poses_at_the_end_of_the_step(tmp_path):
+    (tmp_path / "cube.toml").write_text(CUBE)
+    hapjax.Recording(hip=np.ones((5, 1, 3)), hip_t=1.0 + 0.01 * np.arange(5)).save(tmp_path / "hip.csv")
+    arguments = ["--hip", str(tmp_path / "hip.csv"), "--out", str(tmp_path / "o.npz")]
+    assert main(["simulate", str(tmp_path / "cube.toml"), *arguments]) == 0
+    answer = hapjax.Recording.load(tmp_path / "o.npz")
+    np.testing.assert_allclose(answer.pose_t, 1.01 + 0.01 * np.arange(5))
+    n = np.arange(1, 6)  # semi-implicit Euler falls by g dt^2 n (n + 1) / 2
+    np.testing.assert_allclose(answer.pose[:, 0, 2], 0.5 - 10 * 0.01**2 * n * (n + 1) / 2, rtol=1e-12)
+
+
+def test_fit_finds_what_simulate_was_given(tmp_path, stroke, capsys):
+    truth = write_table(tmp_path / "truth.toml", 0.5, 1000.0)
+    guess = write_table(tmp_path / "guess.toml", 0.8, 600.0)
+    assert main(["simulate", truth, "--hip", stroke, "--out", str(tmp_path / "answer.npz")]) == 0
+    free = ["object.table.surface.mu", "object.table.surface.stiffness"]
+    figures, report = tmp_path / "fit.json", tmp_path / "report"
+    arguments = ["--scene", guess, "--free", *free, "--json", str(figures), "--report", str(report)]
+    assert main(["fit", str(tmp_path / "answer.npz"), *arguments]) == 0
+    assert "object.table.surface.mu" in capsys.readouterr().out
+    found = json.loads(figures.read_text())
+    assert found["converged"]
+    for name, value in zip(free, (0.5, 1000.0), strict=True):
+        assert found["parameters"][name]["identified"]
+        assert found["parameters"][name]["estimate"] == pytest.approx(value, rel=1e-5)
+    assert (report / "report.html").read_text().lower().startswith("<!doctype html>")
+
+
+def test_latency_prints_and_writes_its_figures(tmp_path, capsys):
+    scene, file = write_table(tmp_path / "table.toml", 0.5, 1000.0), tmp_path / "latency.json"
+    arguments = ["--scene", scene, "--fingers", "2", "--seconds", "0.2", "--json", str(file)]
+    assert main(["benchmark", "latency", *arguments]) == 0
+    printed, figures = capsys.readouterr().out, json.loads(file.read_text())
+    for words in ("scan", "packed call", "empty call", "late by", "missed ticks", "compile"):
+        assert words in " ".join(printed.split())
+    assert figures["fingers"] == 2
+    assert figures["loop"]["ticks"] == 200
+    for kind in ("packed_call_us", "empty_call_us"):
+        values = figures[kind]
+        assert 0 < values["p50"] <= values["p99"] <= values["p99.9"] <= values["max"]
+    assert figures["scan_step_us"] > 0 and figures["compile_s"]["step"] > 0
+
+
+@pytest.mark.parametrize("command", [[], ["demo"], ["simulate"], ["fit"], ["benchmark"]])
+def test_every_command_has_help(command, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([*command, "--help"])
+    assert ended.value.code == 0
+    assert "Example: hapjax" in capsys.readouterr().out
+
+
+def test_a_missing_library_is_named_with_the_extra_that_brings_it(monkeypatch, capsys, tmp_path, stroke):
+    monkeypatch.setitem(sys.modules, "hapjax_fitting", None)
+    scene = write_table(tmp_path / "table.toml", 0.5, 1000.0)
+    assert main(["fit", stroke, "--scene", scene, "--free", "object.table.surface.mu"]) == 2
+    error = capsys.readouterr().err
+    assert "hapjax_fitting" in error and "hapjax[fitting]" in error and error.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_the_demo_finds_the_truth(tmp_path):
+    """Every truth inside its 99 % interval, mu and stiffness to 1 %, starts a factor 2 off in every number."""
+    run = subprocess.run([HAPJAX, "demo", "--out", str(tmp_path / "demo")], capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "7 of 7 truths inside their 99 % interval" in " ".join(run.stdout.split())
+    truth, start = (hapjax.load_scene(tmp_path / "demo" / f"{name}.toml") for name in ("truth", "start"))
+    figures = json.loads((tmp_path / "demo" / "fit.json").read_text())["parameters"]
+    for name, leaf in (
+        ("object.cube.surface.mu", lambda s: s.object["cube"].surface.mu),
+        ("object.cube.surface.stiffness", lambda s: s.object["cube"].surface.stiffness),
+    ):
+        assert float(leaf(start)) / float(leaf(truth)) in (pytest.approx(0.5), pytest.approx(2.0))
+        assert figures[name]["estimate"] == pytest.approx(float(leaf(truth)), rel=0.01)
+    assert len(figures) == 7 and all(p["identified"] for p in figures.values())
+    page = (tmp_path / "demo" / "report.html").read_text()
+    assert "object.cube.body.inertia[2]" in page and ("<svg" in page or "data:image/png" in page)
