@@ -21,7 +21,7 @@ from .simulate import init, rollout
 def demo(out: Path = Path("hapjax-demo"), seed: int = 0) -> int:
     """Grasp a cube with virtual fingers in real time, record it, and find its numbers again from the recording.
 
-    A three-finger lift and a two-finger swing at 1 kHz, about 17 s; then a fit of mu, stiffness, A_crit, mass and
+    A three-finger lift and a two-finger swing at 1 kHz, 13 s; then a fit of mu, stiffness, A_crit, mass and
     principal inertia from starts a factor 2 off. Example: hapjax demo --out hapjax-demo
 
     Args:

@@ -205,6 +205,7 @@ ARGUMENTS = [
     (["benchmark"], ["missing"]),
     (["benchmark", "speed"], ["speed", "latency"]),
     (["benchmark", "latency", "--fingers", "0"], ["fingers", "1 to 100"]),
+    (["benchmark", "latency", "--fingers", "2"], ["fingers is 2 without a scene"]),
     (["benchmark", "latency", "--fingers", "two"], ["--fingers", "two"]),
     (["benchmark", "latency", "--seconds", "0"], ["seconds", "above 0"]),
     (["benchmark", "latency", "--scene", "{folder}/none.toml"], ["none.toml"]),

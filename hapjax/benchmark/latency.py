@@ -59,6 +59,10 @@ def measure(scene: Scene | None, fingers: int, seconds: float) -> dict[str, Any]
 def _felt(scene: Scene | None, fingers: int) -> tuple[Scene, list[Any]]:
     """The scene that is measured, and the virtual devices that feel it."""
     if scene is None:
+        if fingers != 3:
+            raise InputError(
+                f"fingers is {fingers} without a scene; allowed: 3, as the demo's scene is felt by"
+            )
         task = need("hapjax_devices.demo", "devices").three_finger_lift(0)
         return task.scene, task.devices
     virtual = need("hapjax_devices", "devices").VirtualDevice
