@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import G, angle_between, at_rest, away, matrix, moving, order, quaternion
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import hapjax
+from helpers import G, angle_between, at_rest, away, matrix, moving, order, quaternion
 
 METHODS = [hapjax.SemiImplicit, hapjax.SemiImplicitMatrix]
 STEPS = [2e-3, 1e-3, 5e-4, 2.5e-4]
@@ -86,6 +86,17 @@ def test_torque_free_top(method):
     turned = [angle_between(e.orientation, orientation) for e in ends]
     assert order(STEPS, turned) == pytest.approx(1, abs=0.1) and turned[-1] < 0.02
     assert order(STEPS, [np.linalg.norm(e.spin - spin) for e in ends]) == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0.3, -0.5, 0.8)])
+def test_the_matrix_form_is_that_of_the_paper_with_its_factors_in_order(axis):
+    dt, spin = 0.05, 8.0 * np.array(axis)
+    end = run(top(hapjax.SemiImplicitMatrix, False), dt, dt, spin=spin)
+    x, y, z = spin
+    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    # Gram-Schmidt on the columns is the QR factorisation with a positive diagonal.
+    q, r = np.linalg.qr((np.eye(3) + dt * skew) @ matrix(PLACE["orientation"]))
+    assert matrix(end.orientation) == pytest.approx(q * np.sign(np.diag(r)), abs=1e-12)
 
 
 @pytest.mark.parametrize("method", METHODS)
