@@ -1,8 +1,8 @@
 """Synthetic recordings that several tests of fitting share."""
 
+import jax.numpy as jnp
 import numpy as np
 
-import hapjax
 from hapjax import Body, Box, Contact, Object, Plane, Recording, Scene, Surface, World, init, rollout
 
 MU, STIFFNESS = "object.floor.surface.mu", "object.floor.surface.stiffness"
@@ -27,6 +27,7 @@ def stroke(steps=400, length=0.02, depth=0.0025, dt=1e-3):
 
 def forces(scene, path):
     """The scene's noiseless forces (T, F, 3) N."""
+    path = jnp.asarray(path, scene.integrator.dt.dtype)
     return np.asarray(rollout(scene, init(scene, path[0]), path)[1].force)
 
 
@@ -73,8 +74,3 @@ def shaken_cube(seed=0, steps=400) -> Recording:
         pose=pose,
         pose_t=t[4::5] + 1e-3,  # a step's pose belongs to its end
     )
-
-
-def float32(scene) -> Scene:
-    """The scene in single precision."""
-    return hapjax.cast(scene, np.float32)

@@ -50,7 +50,7 @@ def shade(axes: Axes, time: np.ndarray, where: np.ndarray, colour: str, label: s
     """Colour the background in spells."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], where, [False]]).astype(int)))
     step = time[1] - time[0]
-    spells = [(time[a], time[b - 1] + step - time[a]) for a, b in edges.reshape(-1, 2)]
+    spells = [(float(time[a]), float(time[b - 1] + step - time[a])) for a, b in edges.reshape(-1, 2)]
     axes.broken_barh(
         spells, (0, 1), transform=axes.get_xaxis_transform(), color=colour, alpha=0.18, lw=0, label=label
     )

@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hapjax import InputError, Recording, Scene
+from hapjax import InputError, Recording, Scene, cast
 
+from .breakaway import between, broken_away, is_static
 from .grip import cost_of_grip, largest_ratio, raised, slipping_instead
 from .noise import noise_of, spread_of
 from .observation import CHANNELS
@@ -22,6 +23,8 @@ from .result import Estimate, FitResult
 from .solve import Solutions, Trace, listen, solve
 from .transform import Identity, Logit
 from .uncertainty import Certainty, certainty
+
+_MOST_SEARCHES = 4
 
 
 def fit(
@@ -48,7 +51,7 @@ def fit(
 
     **Arguments:**
 
-    - `scene`: its free numbers are the first start. Its numbers' type (float64, better) is that of the fit.
+    - `scene`: its free numbers are the first start. With 64-bit numbers on, the fit is in float64 whatever its type.
     - `recordings`: one or several, all of this scene.
     - `free`: paths, or a function from the scene to its free leaves.
     - `observe`: what is compared, of `force` and `pose`.
@@ -68,6 +71,7 @@ def fit(
     names = [f"recording {i + 1}" for i in range(len(recordings))] if names is None else list(names)
     _check(scene, recordings, names, channels)
     _check_numbers(starts, spread, seed, max_steps)
+    scene = cast(scene, jnp.result_type(float))
     parameters = free_parameters(scene, free, bounds)
     groups = grouped(scene, recordings, channels, names)
     problem = Problem(scene, groups, noise_of(recordings, noise, scene.integrator.dt.dtype), parameters)
@@ -76,9 +80,11 @@ def fit(
     trace = Trace()
     with following(trace, starts, max_steps) if progress else listen(trace):
         ends = _search(problem, problem.start(), starts, spread, seed, max_steps)
-        lower = _lower(problem, ends)
-        if lower is not None:
-            more = _search(problem, lower, starts, spread, seed, max_steps, begun=starts)
+        for _ in range(_MOST_SEARCHES - 1):
+            better = _better(problem, ends)
+            if better is None:
+                break
+            more = _search(problem, better, starts, spread, seed, max_steps, begun=len(ends.loss))
             ends = jax.tree.map(lambda *x: jnp.concatenate(x), ends, more)
     return _result(problem, ends, trace, recordings, names, time.perf_counter() - began, noise)
 
@@ -110,12 +116,13 @@ def _best(ends: Solutions) -> int:
     return int(np.argmin(np.where(np.isfinite(ends.loss), ends.loss, np.inf)))
 
 
-def _lower(problem: Problem, ends: Solutions) -> Array | None:
-    """Where to search again: at mu that slip, if all starts ended where nothing does although the data do."""
+def _better(problem: Problem, ends: Solutions) -> Array | None:
+    """Where to search again: a better place that the solver's gradients do not lead to, if there is one."""
     free = ends.free[_best(ends)]
     variance = 2 * float(ends.loss[_best(ends)]) / problem.measured()
     flat = cost_of_grip(free, problem) <= NOTICEABLE * variance
-    return slipping_instead(free, problem, flat, variance) if flat.any() else None
+    found = slipping_instead(free, problem, flat, variance) if flat.any() else None
+    return broken_away(free, problem, variance) if found is None else found
 
 
 def _result(
@@ -134,8 +141,11 @@ def _result(
     cost, chance = cost_of_grip(free, problem), NOTICEABLE * float(np.mean(variance))
     widest = np.array([p.transform.widest for p in problem.parameters])
     known = certainty(np.asarray(matrix), variance, widest, cost > chance)
+    jumping = [is_static(problem, i) and cost[i] > chance for i in range(len(free))]
     estimates = {
-        p.name: _estimate(p, free[i], known, i)
+        p.name: _breakaway(problem, free, i, float(np.mean(variance)))
+        if jumping[i]
+        else _estimate(p, free[i], known, i)
         if known.identified[i]
         else _not_identified(problem, free, known, i, float(cost[i]), chance)
         for i, p in enumerate(problem.parameters)
@@ -174,6 +184,13 @@ def _estimate(parameter: Parameter, free: Array, known: Certainty, i: int) -> Es
     )
 
 
+def _breakaway(problem: Problem, free: Array, i: int, variance: float) -> Estimate:
+    """A mu_static: the middle of the values that the data allow, by the likelihood (Wilks) instead of by gradients."""
+    low, high = between(free, problem, i, 3.841459 * variance)
+    wide = between(free, problem, i, 6.634897 * variance)
+    return Estimate((low + high) / 2, (high - low) / (2 * 1.959964), (low, high), True, interval99=wide)
+
+
 def _interval(transform, free, deviation: float, width: float) -> tuple[float, float]:
     return float(transform.value(free - width * deviation)), float(transform.value(free + width * deviation))
 
@@ -205,7 +222,7 @@ def _not_identified(
 
 
 def _reached_bound(parameter: Parameter, free: float) -> float | None:
-    if not isinstance(parameter.transform, Logit) or abs(free) < np.log(1e3):
+    if not isinstance(parameter.transform, Logit) or abs(free) < np.log(100):
         return None
     return parameter.transform.high if free > 0 else parameter.transform.low
 

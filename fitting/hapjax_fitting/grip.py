@@ -73,14 +73,14 @@ def slipping_instead(
         for factor in 0.98 * 1.5 ** -np.arange(18.0):
             trial = base
             for i in places:
-                trial = trial.at[i].set(_free_near(problem.parameters[i], factor * top, free))
+                trial = trial.at[i].set(value_near(problem.parameters[i], factor * top, free))
             loss = float(loss_at(trial, problem)) if top > 0 else np.inf
             if loss < lowest:
                 lowest, found = loss, trial
     return found
 
 
-def _free_near(parameter: Parameter, value: float, like: Array) -> Array:
+def value_near(parameter: Parameter, value: float, like: Array) -> Array:
     """The unconstrained number of a value, moved between the parameter's bounds where it is not."""
     transform = parameter.transform
     if isinstance(transform, Logit):

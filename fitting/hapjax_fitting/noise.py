@@ -63,7 +63,7 @@ def _turns(quaternions: Float[np.ndarray, "N O 4"]) -> Float[np.ndarray, "M O 3"
 
 
 def spread_of(
-    channels: Sequence[tuple[str, Float[Any, "R N m"]]], given: Mapping[str, float] | None, free: int
+    channels: Sequence[tuple[str, Float[Any, "_ _ _"]]], given: Mapping[str, float] | None, free: int
 ) -> tuple[dict[str, float], Float[np.ndarray, " n"]]:
     """Root mean square of each channel's whitened residuals, and the variance that each residual stands for.
 
@@ -85,7 +85,7 @@ def spread_of(
     return size, np.concatenate([np.full(r.size, variance[key]) for key, r in channels])
 
 
-def correlation_time(series: Sequence[Float[np.ndarray, "R N m"]]) -> float:
+def correlation_time(series: Sequence[Float[np.ndarray, "_ _ _"]]) -> float:
     """How many successive residuals err alike, at least 1: 1 + 2 sum of their autocorrelation.
 
     The sum ends where two neighbouring terms first are no longer above 0 together (Geyer 1992, section 3.3,

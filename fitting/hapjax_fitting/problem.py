@@ -61,7 +61,7 @@ def stacked_residuals(free: Float[Array, " p"], problem: Problem) -> Float[Array
     return jnp.concatenate([r.ravel() for _, r in by_channel(free, problem)])
 
 
-def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Float[Array, "R N m"]]]:
+def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Float[Array, "_ _ _"]]]:
     """Whitened residuals of each group's channels: of R recordings, N samples of m numbers."""
     scene = problem.scene_at(free)
     found = []
@@ -74,7 +74,7 @@ def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Fl
 @eqx.filter_jit
 def evaluate(
     free: Float[Array, " p"], problem: Problem
-) -> tuple[list[tuple[str, Float[Array, "R N m"]]], Float[Array, "n p"]]:
+) -> tuple[list[tuple[str, Float[Array, "_ _ _"]]], Float[Array, "n p"]]:
     """Residuals by channel, in the order of the Jacobian's rows, and the Jacobian."""
     return by_channel(free, problem), jacobian(stacked_residuals, free, problem)
 
