@@ -74,7 +74,7 @@ def whitened(free, args) -> jax.Array:
 def sums(free, pushes: Pushes) -> tuple[jax.Array, jax.Array, jax.Array]:
     """For each push and channel (P, 3), over its time: residual^2, slope * residual, slope^2."""
     r = unbalanced(free, pushes)
-    slope = jacobian(lambda x, p: unbalanced(x, p).ravel(), free, pushes).reshape(r.shape)
+    slope = jacobian(lambda x, p: unbalanced(x, p).ravel(), free, pushes)[0].reshape(r.shape)
     return jnp.sum(r * r, axis=1), jnp.sum(slope * r, axis=1), jnp.sum(slope * slope, axis=1)
 
 

@@ -17,6 +17,10 @@ import hapjax
 from helpers import G, matrix, moving, quaternion
 
 STEPS = 500
+# These programs run once: compiling them well would take many times as long as running them.
+compiled = functools.partial(
+    jax.jit, compiler_options={"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
+)
 GRAVITY = hapjax.World(gravity=(0.1, -0.2, -G), gyroscopic=True)
 TURNED, PLACE = quaternion((1, 2, -1), 0.3), np.array([0.01, 0.02, 0.005])
 TURN = matrix(TURNED)
@@ -191,7 +195,7 @@ def differences(f, size):
 
     A long step runs over a touch or a break-away, where f has a kink; a short one drowns in rounding.
     """
-    batch = jax.jit(jax.vmap(f))
+    batch = compiled(jax.vmap(f))
     for step in (6.4e-4, 1.6e-4, 4e-5, 1e-5, 2.5e-6):
         offsets = step * np.array([-2, -1, 1, 2])[:, None, None] * np.eye(size)
         values = np.asarray(batch(jnp.asarray(offsets.reshape(-1, size)))).reshape(4, size, -1)
@@ -204,8 +208,8 @@ def test_forward_reverse_and_differences_agree(case):
     build, idle = CASES[case]
     f, size, paths = function_of(build)
     x = jnp.zeros(size)
-    forward = np.asarray(jax.jit(jax.jacfwd(f))(x)).T
-    reverse = np.asarray(jax.jit(jax.jacrev(f))(x)).T
+    forward = np.asarray(compiled(jax.jacfwd(f))(x)).T
+    reverse = np.asarray(compiled(jax.jacrev(f))(x)).T
     largest = np.abs(forward).max(axis=0)
     assert np.abs(forward - reverse).max() <= 1e-10 * largest.min()
     at_work = {
@@ -226,8 +230,8 @@ def total(scene, state, hip):
     return jnp.sum(jnp.sin(1 + everything))
 
 
-_value = jax.jit(total)
-_forward, _reverse = (jax.jit(jacobian(total, (0, 2))) for jacobian in (jax.jacfwd, jax.jacrev))
+_value = compiled(total)
+_forward, _reverse = (compiled(jacobian(total, (0, 2))) for jacobian in (jax.jacfwd, jax.jacrev))
 
 
 def is_finite(scene, state, hip):

@@ -17,7 +17,7 @@ from .grip import cost_of_grip, largest_ratio, raised, slipping_instead
 from .noise import noise_of, spread_of
 from .observation import CHANNELS
 from .parameters import Parameter, Selector, free_parameters
-from .problem import NOTICEABLE, Problem, evaluate, grouped, stacked_residuals
+from .problem import NOTICEABLE, Problem, channels_of, grouped, stacked_residuals
 from .progress import following
 from .result import Estimate, FitResult
 from .solve import Solutions, Trace, listen, solve
@@ -85,7 +85,7 @@ def fit(
             if better is None:
                 break
             more = _search(problem, better, starts, spread, seed, max_steps, begun=len(ends.loss))
-            ends = jax.tree.map(lambda *x: jnp.concatenate(x), ends, more)
+            ends = ends.joined(more)
     return _result(problem, ends, trace, recordings, names, time.perf_counter() - began, noise)
 
 
@@ -112,14 +112,10 @@ def _scatter(
     return first[None] + jnp.asarray(np.log(spread) * random * np.array(size), first.dtype)
 
 
-def _best(ends: Solutions) -> int:
-    return int(np.argmin(np.where(np.isfinite(ends.loss), ends.loss, np.inf)))
-
-
 def _better(problem: Problem, ends: Solutions) -> Array | None:
     """Where to search again: a better place that the solver's gradients do not lead to, if there is one."""
-    free = ends.free[_best(ends)]
-    variance = 2 * float(ends.loss[_best(ends)]) / problem.measured()
+    free = ends.free[ends.best]
+    variance = 2 * float(ends.loss[ends.best]) / problem.measured()
     flat = cost_of_grip(free, problem) <= NOTICEABLE * variance
     found = slipping_instead(free, problem, flat, variance) if flat.any() else None
     return broken_away(free, problem, variance) if found is None else found
@@ -134,9 +130,9 @@ def _result(
     wall_s: float,
     given_noise: Mapping[str, float] | None,
 ) -> FitResult:
-    best = _best(ends)
+    best = ends.best
     free = ends.free[best]
-    channels, matrix = evaluate(free, problem)
+    channels, matrix = channels_of(ends.residuals, free, problem), ends.jacobian
     size, variance = spread_of(channels, given_noise, len(free))
     cost, chance = cost_of_grip(free, problem), NOTICEABLE * float(np.mean(variance))
     widest = np.array([p.transform.widest for p in problem.parameters])

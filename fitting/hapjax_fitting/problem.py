@@ -1,18 +1,20 @@
 """The least-squares problem of a fit: its residuals, their Jacobian, and the loss."""
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from hapjax import Recording, Scene
 
 from .observation import Noise, Observation, observation_of, residuals
 from .parameters import Parameter, values_of, with_values
-from .solve import jacobian
+from .solve import half_square
 
 # Twice a difference in loss is chi-squared with one degree of freedom, which exceeds this once in a hundred.
 NOTICEABLE = 6.635
@@ -71,15 +73,16 @@ def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Fl
     return found
 
 
-@eqx.filter_jit
-def evaluate(
-    free: Float[Array, " p"], problem: Problem
-) -> tuple[list[tuple[str, Float[Array, "_ _ _"]]], Float[Array, "n p"]]:
-    """Residuals by channel, in the order of the Jacobian's rows, and the Jacobian."""
-    return by_channel(free, problem), jacobian(stacked_residuals, free, problem)
+def channels_of(
+    stacked: Float[Array, " n"], free: Float[Array, " p"], problem: Problem
+) -> list[tuple[str, Float[Array, "_ _ _"]]]:
+    """The residuals in one vector, taken apart again as `by_channel` has them."""
+    shapes = eqx.filter_eval_shape(by_channel, free, problem)
+    ends = np.cumsum([math.prod(shape.shape) for _, shape in shapes])
+    pieces = jnp.split(stacked, ends[:-1])
+    return [(key, piece.reshape(shape.shape)) for (key, shape), piece in zip(shapes, pieces, strict=True)]
 
 
-@eqx.filter_jit
 def loss_at(free: Float[Array, " p"], problem: Problem) -> Float[Array, ""]:
     """Half the sum of the squared whitened residuals."""
-    return 0.5 * jnp.sum(stacked_residuals(free, problem) ** 2)
+    return half_square(stacked_residuals, free, problem)

@@ -15,13 +15,32 @@ Residuals = Callable[[Float[Array, " p"], Any], Float[Array, " n"]]
 
 
 class Solutions(eqx.Module):
-    """Where each start ended: `free` (S, p), its `loss` (S,) = half the sum of squares, evaluated anew,
-    whether the solver met its tolerances, and after how many `steps`."""
+    """Where each start ended: `free` (S, p), its `loss` (S,), whether the solver met its tolerances, after how many
+    `steps`; of the start with the lowest loss also the `residuals` (n,) and their `jacobian` (n, p).
+
+    The loss is half the sum of the squared residuals at `free` itself, not the solver's last word.
+    """
 
     free: Float[Array, "*S p"]
     loss: Float[Array, "*S"]
     converged: Bool[Array, "*S"]
     steps: Int[Array, "*S"]
+    residuals: Float[Array, "*n"]
+    jacobian: Float[Array, "*n p"]
+
+    @property
+    def best(self) -> int:
+        """The start with the lowest loss."""
+        return int(jnp.argmin(jnp.where(jnp.isfinite(self.loss), self.loss, jnp.inf)))
+
+    def joined(self, other: "Solutions") -> "Solutions":
+        """These starts and the other ones."""
+        per_start = [
+            jnp.concatenate([getattr(x, name) for x in (self, other)])
+            for name in ("free", "loss", "converged", "steps")
+        ]
+        of_best = other if other.loss[other.best] < self.loss[self.best] else self
+        return Solutions(*per_start, of_best.residuals, of_best.jacobian)
 
 
 @dataclass
@@ -57,9 +76,16 @@ def _hear(start: Array, step: Array, loss: Array) -> None:
         trace.add(int(start), int(step), float(loss))
 
 
-def jacobian(residuals: Residuals, free: Float[Array, " p"], args: Any) -> Float[Array, "n p"]:
-    """Forward-mode Jacobian: the parameters are few, the samples many."""
-    return jax.jacfwd(lambda x: residuals(x, args))(free)
+def jacobian(
+    residuals: Residuals, free: Float[Array, " p"], args: Any
+) -> tuple[Float[Array, "*n p"], Float[Array, "*n"]]:
+    """The Jacobian and the residuals. Forward mode: the parameters are few, the samples many."""
+
+    def twice(x):
+        found = residuals(x, args)
+        return found, found
+
+    return jax.jacfwd(twice, has_aux=True)(free)
 
 
 def _told_whole(residuals: Residuals) -> Residuals:
@@ -75,14 +101,12 @@ def _told_whole(residuals: Residuals) -> Residuals:
 
     @told.defjvp
     def _(primals, tangents):
-        free, args = primals
-        matrix = jacobian(residuals, free, args)
-        return residuals(free, args), jnp.matmul(matrix, tangents[0], precision="highest")
+        matrix, found = jacobian(residuals, *primals)
+        return found, jnp.matmul(matrix, tangents[0], precision="highest")
 
     return told
 
 
-@eqx.filter_jit
 def solve(
     residuals: Residuals,
     starts: Float[Array, "S p"],
@@ -96,14 +120,26 @@ def solve(
 
     `residuals(free, args)` must be the same function object from call to call, else each call compiles anew.
     """
+    # Compiled apart from the solver, which then has a single copy of the residuals in it.
+    totals = jnp.stack([2 * half_square(residuals, start, args) for start in starts])
+    return _solve(residuals, starts, places, totals, args, rtol, atol, max_steps)
+
+
+@eqx.filter_jit
+def half_square(residuals: Residuals, free: Float[Array, " p"], args: Any) -> Float[Array, ""]:
+    """The loss: half the sum of the squared residuals."""
+    return 0.5 * jnp.sum(residuals(free, args) ** 2)
+
+
+@eqx.filter_jit
+def _solve(residuals: Residuals, starts, places, totals, args, rtol, atol, max_steps: int) -> Solutions:
     told = _told_whole(residuals)
 
-    def one(start, place):
+    def one(start, place, total):
         def tell(num_steps, loss_this_step, **_):
             jax.debug.callback(_hear, place, num_steps[1], loss_this_step[1] * total)
 
         # Levenberg-Marquardt begins with a damping of 1: right for a problem of about that size.
-        total = jnp.sum(residuals(start, args) ** 2)
         scale = jax.lax.rsqrt(jnp.maximum(total, jnp.finfo(start.dtype).tiny))
         solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol, verbose=tell)
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
@@ -115,9 +151,23 @@ def solve(
                 throw=False,
                 options={"jac": "fwd"},
             )
-        loss = 0.5 * jnp.sum(residuals(solution.value, args) ** 2)
+        at_end = solution.state.f_info  # of the last step that was accepted, so of the value
+        found, matrix = at_end.residual / scale, at_end.jac.as_matrix() / scale
         done = solution.result == optx.RESULTS.successful
-        return Solutions(solution.value, loss, done, solution.stats["num_steps"])
+        loss = 0.5 * jnp.sum(found**2)
+        return Solutions(solution.value, loss, done, solution.stats["num_steps"], found, matrix)
+
+    def next_start(best, item):
+        end = one(*item)
+        better = end.loss < best[0]
+        best = jax.tree.map(
+            lambda x, y: jnp.where(better, x, y), (end.loss, end.residuals, end.jacobian), best
+        )
+        return best, (end.free, end.loss, end.converged, end.steps)
 
     # One after the other: on a CPU a batch is no faster, and would run until its slowest start is done.
-    return jax.lax.map(lambda each: one(*each), (starts, places))
+    count = jax.eval_shape(residuals, starts[0], args).shape[0]
+    none = (jnp.inf, jnp.zeros(count), jnp.zeros((count, starts.shape[1])))
+    none = jax.tree.map(lambda x: jnp.asarray(x, starts.dtype), none)
+    best, ends = jax.lax.scan(next_start, none, (starts, places, totals))
+    return Solutions(*ends, *best[1:])
