@@ -21,7 +21,8 @@ def as_float(value: Any) -> Any:
         return None
     dtype = getattr(value, "dtype", None)
     if dtype is not None and jnp.issubdtype(dtype, jnp.floating):
-        return jnp.asarray(value, dtype)
+        # A NumPy float64 is a float32 where JAX has 64-bit numbers off; asking for more would warn.
+        return jnp.asarray(value, jax.dtypes.canonicalize_dtype(dtype))
     if _is_numeric(value):
         return jnp.asarray(value, jnp.result_type(float))
     return value

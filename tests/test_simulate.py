@@ -59,26 +59,26 @@ def close(a, b, tolerance):
 
 
 def test_rollout_is_step_after_step(dtype):
-    scene, hips = hapjax.cast(lively(), dtype), jnp.asarray(fingers(5), dtype)
+    scene, hips = hapjax.cast(lively(), dtype), fingers().astype(dtype)
     final, replies = play(scene, hips)
     state = hapjax.init(scene, hips[0])
-    for k, hip in enumerate(hips):
-        state, reply = hapjax.step(scene, state, hip)
+    for k, hip in enumerate(hips[:5]):
+        state, reply = hapjax.step(scene, state, jnp.asarray(hip))
         assert close(reply, jax.tree.map(lambda x, k=k: x[k], replies), 2e3 * float(jnp.finfo(dtype).eps))
     assert {leaf.dtype for leaf in jax.tree.leaves((state, reply, final, replies))} == {dtype}
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves((final, replies)))
 
 
 def test_the_packed_step_is_the_step(dtype):
-    scene, hips = hapjax.cast(lively(), dtype), fingers(5).astype(dtype)
+    scene, hips = hapjax.cast(lively(), dtype), fingers().astype(dtype)
     _, replies = play(scene, hips)
     packed = hapjax.pack(scene, hips[0])
     memory = packed.start
-    for hip, force in zip(hips, replies.force, strict=True):
+    for hip, force in zip(hips[:10], replies.force, strict=False):
         memory = packed.call(memory, hip)
         assert packed.force(memory) == pytest.approx(force, abs=2e3 * float(jnp.finfo(dtype).eps))
     assert packed.force(memory).dtype == packed.dtype == dtype
-    assert packed.state(memory).motion["cube"].position == pytest.approx(replies.pose[-1, 0, :3], abs=1e-6)
+    assert packed.state(memory).motion["cube"].position == pytest.approx(replies.pose[9, 0, :3], abs=1e-6)
 
 
 def test_forces_of_all_objects_add_up():
@@ -129,8 +129,8 @@ def test_a_world_that_is_turned_and_shifted_feels_the_same():
     assert close(there.touch, here.touch, 1e-9)
 
 
-def test_scenes_in_a_batch_are_scenes_one_by_one(dtype):
-    scene, hips = hapjax.cast(lively(), dtype), fingers(5).astype(dtype)
+def test_scenes_in_a_batch_are_scenes_one_by_one():
+    scene, hips = lively(), fingers()
 
     def stiffer(factor):
         return eqx.tree_at(
@@ -141,11 +141,11 @@ def test_scenes_in_a_batch_are_scenes_one_by_one(dtype):
         now = stiffer(factor)
         return hapjax.rollout(now, hapjax.init(now, hips[0]), jnp.asarray(hips))[1]
 
-    factors = jnp.asarray([0.7, 1.0, 1.5], dtype)
+    factors = jnp.array([0.7, 1.0, 1.5])
     together = jax.jit(jax.vmap(run))(factors)
     for k, factor in enumerate(factors):
         _, one = play(stiffer(factor), hips)
-        assert close(one, jax.tree.map(lambda x, k=k: x[k], together), 1e4 * float(jnp.finfo(dtype).eps))
+        assert close(one, jax.tree.map(lambda x, k=k: x[k], together), 1e-9)
     assert not np.allclose(together.force[0], together.force[2])
 
 
