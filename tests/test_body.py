@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import matrix, quaternion
 
 import hapjax
 from hapjax import body as rigid
+from helpers import matrix, quaternion
 
 TURNED = quaternion((1, 2, -1), 0.8)
 FULL = (
