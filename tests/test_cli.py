@@ -51,7 +51,7 @@ def test_simulate_writes_the_forces_of_the_scene(tmp_path, stroke):
     scene = write_table(tmp_path / "table.toml", 0.5, 1000.0)
     assert main(["simulate", scene, "--hip", stroke, "--out", str(tmp_path / "answer.csv")]) == 0
     answer = hapjax.Recording.load(tmp_path / "answer.csv")
-    assert answer.pose is None
+    assert answer.pose is None and answer.force is not None
     np.testing.assert_array_equal(answer.hip, hapjax.Recording.load(stroke).hip)
     np.testing.assert_allclose(answer.force[:, 0, 2], 2.0, rtol=1e-12)
     assert np.max(np.abs(answer.force[:, 0, 0])) == pytest.approx(1.0, rel=1e-12)  # mu times the normal force
@@ -63,6 +63,7 @@ def test_simulate_dates_poses_at_the_end_of_the_step(tmp_path):
     arguments = ["--hip", str(tmp_path / "hip.csv"), "--out", str(tmp_path / "o.npz")]
     assert main(["simulate", str(tmp_path / "cube.toml"), *arguments]) == 0
     answer = hapjax.Recording.load(tmp_path / "o.npz")
+    assert answer.pose is not None and answer.pose_t is not None
     np.testing.assert_allclose(answer.pose_t, 1.01 + 0.01 * np.arange(5))
     n = np.arange(1, 6)  # semi-implicit Euler falls by g dt^2 n (n + 1) / 2
     np.testing.assert_allclose(answer.pose[:, 0, 2], 0.5 - 10 * 0.01**2 * n * (n + 1) / 2, rtol=1e-12)

@@ -35,12 +35,15 @@ class Solutions(eqx.Module):
 
     def joined(self, other: "Solutions") -> "Solutions":
         """These starts and the other ones."""
-        per_start = [
-            jnp.concatenate([getattr(x, name) for x in (self, other)])
-            for name in ("free", "loss", "converged", "steps")
-        ]
         of_best = other if other.loss[other.best] < self.loss[self.best] else self
-        return Solutions(*per_start, of_best.residuals, of_best.jacobian)
+        return Solutions(
+            free=jnp.concatenate([self.free, other.free]),
+            loss=jnp.concatenate([self.loss, other.loss]),
+            converged=jnp.concatenate([self.converged, other.converged]),
+            steps=jnp.concatenate([self.steps, other.steps]),
+            residuals=of_best.residuals,
+            jacobian=of_best.jacobian,
+        )
 
 
 @dataclass
