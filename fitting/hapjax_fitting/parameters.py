@@ -19,6 +19,8 @@ Selector = str | Sequence[str] | Callable[[Scene], Any]
 
 # What can be below zero; every other number of a scene is a positive one and is fitted through its logarithm.
 _SIGNED = ("position", "orientation", "centre", "gravity")
+# How the scene is computed, not what it is; the recordings are laid on the integrator's time grid once.
+_NOT_PHYSICAL = ("integrator",)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,8 +63,8 @@ def free_parameters(
     """The free numbers that paths, or a function from the scene to its leaves, select, in their order.
 
     A number with `bounds` is fitted through a scaled logit, others through the logarithm, positions and
-    directions as they are. **Raises:** `InputError` for unknown paths, repeated ones, and starting values
-    outside their transform.
+    directions as they are. **Raises:** `InputError` for unknown paths, repeated ones, the integrator's numbers, and
+    starting values outside their transform.
     """
     if callable(free):
         paths = _selected_paths(scene, free)
@@ -100,8 +102,10 @@ def with_values(scene: Scene, parameters: tuple[Parameter, ...], values: Float[A
 
 
 def _expand(scene: Scene, given: str, bounds: Mapping[str, tuple[float, float]]) -> list[Parameter]:
-    match = re.fullmatch(r"(.*)\[(\d+)\]", given)
+    match = re.fullmatch(r"(.*)\[([0-9]+)\]", given)
     path = match.group(1) if match else given
+    if path.split(".")[0] in _NOT_PHYSICAL:
+        raise InputError(f"{given} is not physical; allowed: {_continuations(scene, [])}")
     shape = find_leaf(scene, path).shape
     if len(shape) > 1:
         raise InputError(
@@ -157,7 +161,8 @@ def _parts(node: Any) -> dict[str, Any]:
 
 
 def _continuations(node: Any, walked: list[str]) -> str:
-    names = [name for name, part in _parts(node).items() if jax.tree.leaves(eqx.filter(part, eqx.is_array))]
+    parts = {name: part for name, part in _parts(node).items() if walked or name not in _NOT_PHYSICAL}
+    names = [name for name, part in parts.items() if jax.tree.leaves(eqx.filter(part, eqx.is_array))]
     return ", ".join(".".join([*walked, n]) for n in names) or "a path to a number"
 
 
