@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 from hapjax import InputError, Recording, Scene, init, rollout, rotation
 
 CHANNELS = ("force", "pose")
+_LARGEST = 1e6  # N or m
 _MOST_STEPS = 10_000_000  # almost three hours at 1 kHz
 
 
@@ -53,6 +54,7 @@ def observation_of(scene: Scene, recording: Recording, channels: tuple[str, ...]
         raise InputError(f"{name}: hip was not recorded; allowed: a recording with the fingers' positions")
     if len(recording.hip_t) < 2:
         raise InputError(f"{name}: hip has {len(recording.hip_t)} sample; allowed: at least 2")
+    _check_size(recording, name)
     dtype, dt = scene.integrator.dt.dtype, float(scene.integrator.dt)
     start, hips = _on_grid(recording.hip_t, recording.hip, dt, name)
     force = pose = None
@@ -99,8 +101,18 @@ def predicted(scene: Scene, observation: Observation) -> dict[str, Float[Array, 
         found["force"] = observation.force.between(reply.force)
     if observation.pose is not None:
         first = jnp.stack([jnp.concatenate([m.position, m.orientation]) for m in state.motion.values()])
-        found["pose"] = observation.pose.between(jnp.concatenate([first[None], reply.pose]))
+        found["pose"] = observation.pose.between(_unflipped(jnp.concatenate([first[None], reply.pose])))
     return found
+
+
+def _unflipped(pose: Float[Array, "T O 7"]) -> Float[Array, "T O 7"]:
+    """The same poses, each quaternion of the sign of the one before: q and -q are one turn, their mean is none."""
+    turn = pose[..., 3:]
+    flipped = jnp.sum(turn[1:] * turn[:-1], axis=-1, keepdims=True) < 0
+    odd = jnp.cumsum(flipped, axis=0) % 2 == 1
+    return jnp.concatenate(
+        [pose[..., :3], jnp.concatenate([turn[:1], jnp.where(odd, -turn[1:], turn[1:])])], axis=-1
+    )
 
 
 def _turn_between(first: Float[Array, "N O 4"], second: Float[Array, "N O 4"]) -> Float[Array, "N O 3"]:
@@ -110,6 +122,27 @@ def _turn_between(first: Float[Array, "N O 4"], second: Float[Array, "N O 4"]) -
         return rotation.to_rotation_vector(rotation.product(rotation.conjugate(p), rotation.normalise(q)))
 
     return jax.vmap(jax.vmap(one))(first, second)
+
+
+def _check_size(recording: Recording, name: str) -> None:
+    """Refuse what no device measures: squared, it would overflow."""
+    positions = None if recording.pose is None else recording.pose[..., :3]
+    channels = (
+        ("hip", "m", recording.hip_t, recording.hip),
+        ("force", "N", recording.force_t, recording.force),
+        ("pose", "m", recording.pose_t, positions),
+    )
+    for channel, unit, times, values in channels:
+        if times is None or values is None:
+            continue
+        flat = np.reshape(values, (len(times), -1))
+        wrong = np.argwhere(np.abs(flat) > _LARGEST)
+        if len(wrong):
+            row, column = wrong[0]
+            raise InputError(
+                f"{name}: {channel} is {flat[row, column]:g} {unit} at {times[row]:g} s; "
+                f"allowed: {-_LARGEST:g} to {_LARGEST:g} {unit}"
+            )
 
 
 def _on_grid(times: np.ndarray, hip: np.ndarray, dt: float, name: str) -> tuple[float, np.ndarray]:

@@ -1,10 +1,11 @@
 """Measured samples beside the model's: which time belongs to which step."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hapjax import Body, InputError, Object, Recording, Scene, Sphere, Surface, World
+from hapjax import Body, InputError, Object, Recording, Scene, Sphere, Surface, World, rollout
 from hapjax_fitting.observation import Noise, observation_of, predicted, residuals
 
 K, DEPTH, G = 1000.0, 1e-3, 9.81
@@ -110,6 +111,20 @@ def test_a_turn_is_measured_in_rad_and_the_sign_of_a_quaternion_does_not_matter(
     np.testing.assert_allclose(r, [[-0.1, 0, 0]] * 2, atol=1e-12)
 
 
+def test_quaternions_of_either_sign_are_interpolated(monkeypatch):
+    """q and -q are the same turn: between the two lies that turn, not half a turn away."""
+    scene, observation = ball(fixed=False), falling(np.array([0.0005, 0.0013, 0.0045]))
+    smooth = predicted(scene, observation)["pose"]
+
+    def flipping(*given):
+        final, reply = rollout(*given)
+        pose = reply.pose.at[::2, :, 3:].multiply(-1.0)
+        return final, eqx.tree_at(lambda r: r.pose, reply, pose)
+
+    monkeypatch.setattr("hapjax_fitting.observation.rollout", flipping)
+    np.testing.assert_allclose(predicted(scene, observation)["pose"], smooth, atol=1e-15)
+
+
 def test_only_the_chosen_channels_are_compared():
     recording = Recording(
         hip=np.tile(AWAY, (3, 1, 1)),
@@ -133,7 +148,7 @@ def test_what_the_model_cannot_follow_is_a_large_finite_residual():
 
 HIP = dict(hip=np.zeros((3, 1, 3)), hip_t=1e-3 * np.arange(3))
 FORCE = dict(force=np.zeros((3, 1, 3)), force_t=1e-3 * np.arange(3))
-POSE = dict(pose=np.array([[0, 0, 0, 1.0, 0, 0, 0]]), pose_t=np.zeros(1))
+POSE = dict(pose=np.array([[1, 0, 0, 1.0, 0, 0, 0]]), pose_t=np.zeros(1))
 
 
 @pytest.mark.parametrize(
@@ -142,6 +157,17 @@ POSE = dict(pose=np.array([[0, 0, 0, 1.0, 0, 0, 0]]), pose_t=np.zeros(1))
         (ball(), FORCE, "^run: hip was not recorded"),
         (ball(), dict(hip=np.zeros((1, 1, 3)), hip_t=np.zeros(1)) | FORCE, "^run: hip has 1 sample"),
         (ball(), HIP, "^run: nothing to compare was recorded; allowed: a recording with force or pose"),
+        (
+            ball(),
+            HIP | dict(force=np.array([[[0, 0, 0]], [[0, -1e308, 0]]]), force_t=np.array([0, 2e-3])),
+            r"^run: force is -1e\+308 N at 0.002 s; allowed: -1e\+06 to 1e\+06 N$",
+        ),
+        (ball(), FORCE | HIP | dict(hip=np.full((3, 1, 3), 2e6)), r"^run: hip is 2e\+06 m at 0 s"),
+        (
+            ball(False),
+            HIP | dict(pose=POSE["pose"] * [[[3e7] + [1] * 6]], pose_t=np.zeros(1)),
+            r"^run: pose is 3e\+07 m at 0",
+        ),
         (ball(), HIP | POSE, "^run: pose has 1 objects; allowed: 0"),
         (
             ball(),
