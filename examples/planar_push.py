@@ -30,6 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 from pushes import Pushes, load
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from scipy.stats import t as student
 
@@ -138,7 +139,7 @@ def show(fits: dict[str, Fit]) -> None:
     for name, f in fits.items():
         low, high = f.interval95
         starts = f"{f.starts_at_best} of {f.starts}"
-        table.add_row(name, f"{f.estimate:.4f}", f"{low:.4f} to {high:.4f}", str(f.pushes), starts)
+        table.add_row(escape(name), f"{f.estimate:.4f}", f"{low:.4f} to {high:.4f}", str(f.pushes), starts)
     Console().print(table)
 
 
@@ -195,7 +196,7 @@ def main(argv: list[str] | None = None) -> int:
                 json.dump(figures, file, indent=2, allow_nan=False)
                 file.write("\n")
     except InputError as error:
-        print(error, file=sys.stderr)
+        print(" ".join(str(error).split()), file=sys.stderr)
         return 2
     return 0
 

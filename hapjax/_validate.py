@@ -1,6 +1,7 @@
 """Checks of the numbers a user gives, each refusing in one sentence."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import jax
@@ -23,8 +24,9 @@ def as_float(value: Any) -> Any:
     if dtype is not None and jnp.issubdtype(dtype, jnp.floating):
         # A NumPy float64 is a float32 where JAX has 64-bit numbers off; asking for more would warn.
         return jnp.asarray(value, jax.dtypes.canonicalize_dtype(dtype))
-    if _is_numeric(value):
-        return jnp.asarray(value, jnp.result_type(float))
+    with suppress(OverflowError, ValueError):  # integers beyond all floats, lists beyond all dimensions
+        if _is_numeric(value):
+            return jnp.asarray(value, jnp.result_type(float))
     return value
 
 

@@ -1,6 +1,7 @@
 """The command `hapjax`: arguments, exit codes, and the shortest way from each command to the library."""
 
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +14,7 @@ from tyro.conf import Positional
 
 from .errors import InputError, within
 from .extras import need
+from .files import check_makeable, check_writable
 from .recording import Recording
 from .scene_file import load_scene
 from .simulate import init, rollout
@@ -43,7 +45,7 @@ def simulate(scene: Positional[Path], *, hip: Path, out: Path) -> None:
         hip: Recording (.npz, .csv) whose channel hip (m, world frame) is replayed at the scene's time step.
         out: Recording to write (.npz, .csv): hip, force on the fingers, pose of the moving objects.
     """
-    _check_folder(out)
+    Recording.check_writable(out)
     with jax.enable_x64(True):
         loaded = load_scene(scene)
         dt = float(loaded.integrator.dt)
@@ -92,8 +94,11 @@ def fit(
     """
     fitting = need("hapjax_fitting", "fitting")
     with jax.enable_x64(True):
+        if json is not None:
+            check_writable(json)
+        if report is not None:
+            check_makeable(report)
         loaded = [Recording.load(path) for path in recordings]
-        _check_folder(json)
         result = fitting.fit(
             load_scene(scene),
             loaded,
@@ -134,27 +139,53 @@ def benchmark(
     from .benchmark import latency
 
     del kind  # there is one so far
-    _check_folder(json)
+    if json is not None:
+        check_writable(json)
     latency.report(None if scene is None else load_scene(scene), fingers, seconds, json)
 
 
+_SHELLS = ("bash", "zsh", "tcsh")
 _COMMANDS = {"demo": demo, "simulate": simulate, "fit": fit, "benchmark": benchmark}
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line. Bad input ends with one sentence on stderr and the exit code 2."""
+    """Run the command line. Bad input ends with one sentence on stderr and the exit code 2.
+
+    1: the system failed (a full disk, say), or the demo missed a truth; 130: interrupted.
+    """
     try:
-        with parse_errors.on_parse_error(_refuse):
-            result = tyro.extras.subcommand_cli_from_dict(
-                _COMMANDS,
-                prog="hapjax",
-                description="Touch, hold and identify virtual objects: friction, stiffness, torsional grip, inertia.",
-                args=arguments,
-            )
+        return _run(sys.argv[1:] if arguments is None else arguments) or 0
     except InputError as error:
-        print(f"hapjax: {error}", file=sys.stderr)
-        return 2
-    return result or 0
+        return _say(str(error), 2)
+    except KeyboardInterrupt:
+        return _say("interrupted", 130)
+    except OSError as error:
+        return _say(f"{error.filename or 'output'}: {error.strerror or error}", 1)
+
+
+def _run(arguments: list[str]) -> int | None:
+    _check_completion(arguments)
+    with parse_errors.on_parse_error(_refuse):
+        result = tyro.extras.subcommand_cli_from_dict(
+            _COMMANDS,
+            prog="hapjax",
+            description="Touch, hold and identify virtual objects: friction, stiffness, torsional grip, inertia.",
+            args=arguments,
+        )
+    sys.stdout.flush()
+    return result
+
+
+def _say(sentence: str, code: int) -> int:
+    print(f"hapjax: {' '.join(sentence.split())}", file=sys.stderr)
+    return code
+
+
+def _check_completion(arguments: list[str]) -> None:
+    """Refuse shells that tyro has no completion for; it would end in a traceback."""
+    for flag, shell in pairwise([*arguments, ""]):
+        if flag in ("--tyro-print-completion", "--tyro-write-completion") and shell not in _SHELLS:
+            raise InputError(f"{flag} is {shell!r}; allowed: {', '.join(_SHELLS)}")
 
 
 def _refuse(event: parse_errors.ParseErrorEvent) -> None:
@@ -191,11 +222,3 @@ def _path_of(hip: Path, dt: float) -> tuple[np.ndarray, float]:
         path = recording.hip_every(dt)
     assert recording.hip_t is not None
     return path, float(recording.hip_t[0])
-
-
-def _check_folder(file: Path | None) -> None:
-    """Refuse a file that cannot be written before the work is done, not after."""
-    if file is not None and not file.parent.is_dir():
-        raise InputError(
-            f"{file}: the folder {file.parent} does not exist; allowed: a file in an existing folder"
-        )

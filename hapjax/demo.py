@@ -111,7 +111,7 @@ def _identify(console: Console, out: Path, seed: int, recordings: dict[str, Any]
         f"{sum(inside)} of {len(inside)} truths inside their 99 % interval; "
         f"{result.starts_at_best} of {result.starts} starts ended at the best loss; {time.perf_counter() - began:.0f} s"
     )
-    console.print(f"report: {page}")
+    console.print(f"report: {page}", markup=False)
     return 0 if all(inside) else 1
 
 

@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -23,7 +24,7 @@ def replacing(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]
 
     **Raises:** `hapjax.InputError` if the folder does not exist, or the file cannot be written.
     """
-    target = Path(os.path.realpath(path))
+    target = check_writable(path)
     # In the same folder, because only within one file system is the replacement one step.
     temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
     encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
@@ -32,9 +33,40 @@ def replacing(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]
             yield file
             file.flush()
             os.fsync(file.fileno())
+        if target.exists():
+            shutil.copymode(target, temporary)
         os.replace(temporary, target)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def check_writable(path: str | os.PathLike[str]) -> Path:
+    """The file that `path` leads to. Refuses, before any work is done for it, what `replacing` could not write.
+
+    **Raises:** `hapjax.InputError` if the folder does not exist or may not be written, or if `path` is a folder, a
+    device or a pipe, which a file must not take the place of.
+    """
+    try:
+        target = Path(os.path.realpath(path))
+        there, regular = target.exists(), target.is_file()
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be written: {error}") from error
+    if there and not regular:
+        raise InputError(f"{path}: cannot be written: it is no regular file")
+    if not target.parent.is_dir():
+        raise InputError(f"{path}: cannot be written: the folder {target.parent} does not exist")
+    if not os.access(target.parent, os.W_OK):
+        raise InputError(f"{path}: cannot be written: the folder {target.parent} is read-only")
+    return target
+
+
+def check_makeable(folder: str | os.PathLike[str]) -> None:
+    """Refuse what is no folder and cannot become one. **Raises:** `hapjax.InputError`."""
+    place = Path(folder).absolute()
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        raise InputError(f"{folder}: cannot be made a folder: {place} is a file")

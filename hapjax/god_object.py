@@ -40,8 +40,8 @@ class Touch(eqx.Module):
 
 def start(surface: Surface, points: Float[Array, "n 3"]) -> GodObject:
     """God-objects of points that have touched nothing yet."""
-    none = jnp.zeros_like(points[:, 0])
-    return GodObject(points, none, None if surface.mu_kinetic is None else none)
+    sliding = None if surface.mu_kinetic is None else jnp.zeros_like(points[:, 0])
+    return GodObject(points, jnp.zeros_like(points[:, 0]), sliding)
 
 
 def touch(

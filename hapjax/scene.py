@@ -43,10 +43,14 @@ class Object(eqx.Module):
         check_number(
             "orientation", self.orientation, "four numbers w, x, y, z that are not all 0", shape=(4,)
         )
-        if not is_traced(self.orientation) and not np.any(np.asarray(self.orientation)):
-            raise InputError(
-                "orientation is [0.0, 0.0, 0.0, 0.0]; allowed: four numbers w, x, y, z that are not all 0"
-            )
+        if not is_traced(self.orientation):
+            with np.errstate(over="ignore", under="ignore"):
+                square = np.sum(np.asarray(self.orientation) ** 2)
+            if not np.finfo(square.dtype).tiny <= square < np.inf:
+                raise InputError(
+                    f"orientation is {np.asarray(self.orientation).tolist()}; "
+                    "allowed: four numbers w, x, y, z that are not all 0, of ordinary size"
+                )
         if self.surface is not None:
             with within("surface."):
                 self.surface.check_faces(self.shape.faces)

@@ -75,21 +75,39 @@ def scene_to_dict(scene: Scene) -> dict[str, Any]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        if path.stat().st_size > _LARGEST:
-            raise InputError(
-                f"has {path.stat().st_size} bytes; allowed: a scene file of at most {_LARGEST} bytes"
-            )
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        size, data = path.stat().st_size, b""
+        if size <= _LARGEST:
+            data = path.read_bytes()
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror}); allowed: a scene file in TOML") from None
+    except ValueError:
+        raise InputError("is no name of a file; allowed: a scene file in TOML") from None
+    if size > _LARGEST:
+        raise InputError(f"has {size} bytes; allowed: a scene file of at most {_LARGEST} bytes")
+    try:
+        table = tomllib.loads(data.decode("utf-8"))
     except UnicodeDecodeError as error:
         raise InputError(
             f"has a byte at {error.start} that is not UTF-8; allowed: a scene file in TOML"
         ) from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also numbers of more digits than Python reads
         raise InputError(
             f"is not TOML: {str(error) or 'nested too deep'}; allowed: a scene file in TOML"
         ) from None
+    _check_integers(table, "")
+    return table
+
+
+def _check_integers(value: Any, path: str) -> None:
+    """Refuse integers beyond 64 bits, as TOML asks: Python reads them, and fails later in printing them."""
+    if isinstance(value, Mapping):
+        for key, part in value.items():
+            _check_integers(part, f"{path}.{key}" if path else key)
+    elif isinstance(value, list):
+        for part in value:
+            _check_integers(part, path)
+    elif isinstance(value, int) and value.bit_length() > 63:
+        raise InputError(f"{path} is an integer of {value.bit_length()} bits; allowed: at most 63 bits")
 
 
 def _object(name: str, table: Any) -> Object:

@@ -214,11 +214,11 @@ def _surface(scene: Scene, name: str):
 def _at_rest(scene: Scene, name: str) -> Motion:
     thing = scene.object[name]
     assert thing.body is not None
-    still = jnp.zeros_like(thing.position)
-    # The position is copied: a state and a scene that share one array could not both be donated to a compiled step.
-    position = thing.position + still
+    # No array is shared, within the state or with the scene: a shared one could not be donated to a compiled step.
+    velocity, spin = jnp.zeros_like(thing.position), jnp.zeros_like(thing.position)
+    position = thing.position + velocity
     return Motion(
-        position, rotation.normalise(thing.orientation), still, still if thing.body.rotation else None
+        position, rotation.normalise(thing.orientation), velocity, spin if thing.body.rotation else None
     )
 
 

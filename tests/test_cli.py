@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hapjax
+from hapjax import cli
 from hapjax.cli import main
 
 HAPJAX = str(Path(sys.executable).parent / "hapjax")
@@ -115,6 +116,23 @@ def test_a_missing_library_is_named_with_the_extra_that_brings_it(monkeypatch, c
     assert main(["fit", stroke, "--scene", scene, "--free", "object.table.surface.mu"]) == 2
     error = capsys.readouterr().err
     assert "hapjax_fitting" in error and "hapjax[fitting]" in error and error.count("\n") == 1
+
+
+def test_an_existing_file_keeps_its_permissions(tmp_path, stroke):
+    scene, out = write_table(tmp_path / "table.toml", 0.5, 1000.0), tmp_path / "answer.npz"
+    out.touch(mode=0o600)
+    assert main(["simulate", scene, "--hip", stroke, "--out", str(out)]) == 0
+    assert out.stat().st_mode & 0o777 == 0o600 and out.stat().st_size > 0
+
+
+@pytest.mark.parametrize(("raised", "code"), [(KeyboardInterrupt(), 130), (OSError(28, "No space left"), 1)])
+def test_an_interruption_and_a_full_disk_end_in_one_sentence(
+    raised, code, monkeypatch, capsys, tmp_path, stroke
+):
+    scene = write_table(tmp_path / "table.toml", 0.5, 1000.0)
+    monkeypatch.setattr(cli, "load_scene", lambda path: (_ for _ in ()).throw(raised))
+    assert main(["simulate", scene, "--hip", stroke, "--out", str(tmp_path / "o.npz")]) == code
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.slow

@@ -132,6 +132,15 @@ SCENES = [
     (SCENE, "[object]\ncube = 3", ["object.cube is 3", "table"]),
     (SCENE, "x = " + "[" * 5000, ["not TOML"]),
     (SCENE, "\x00", ["not TOML"]),
+    ("mu = 0.6", f"mu = {'9' * 400}", ["object.cube.surface.mu", "1329 bits"]),
+    ("mu = 0.6", f"mu = 0x{'f' * 5000}", ["object.cube.surface.mu"]),
+    ("mu = 0.6", f"mu = {'9' * 5000}", ["not TOML", "digits"]),
+    ("mu = 0.6", f"mu = {'[' * 80}1{']' * 80}", ["object.cube.surface.mu"]),
+    ("substeps = 1", f"substeps = {'9' * 400}", ["integrator.substeps", "1329 bits"]),
+    ("dt = 0.001", "dt = 1979-05-27", ["integrator.dt", "one number"]),
+    ("position = [0.0, 0.0, 0.03]", "orientation = [1e-200, 0, 0, 0]", ["object.cube.orientation"]),
+    ("position = [0.0, 0.0, 0.03]", "orientation = [1e200, 0, 0, 0]", ["object.cube.orientation"]),
+    ("mu = 0.6", '"a\\nb" = 3', ["object.cube.surface.a b is not known"]),
 ]
 
 ARGUMENTS = [
@@ -210,6 +219,25 @@ ARGUMENTS = [
     (["benchmark", "latency", "--seconds", "0"], ["seconds", "above 0"]),
     (["benchmark", "latency", "--scene", "{folder}/none.toml"], ["none.toml"]),
     (["benchmark", "latency", "--json", "{folder}/no/f.json"], ["no"]),
+    (["simulate", "{scene}", "--hip", "{damaged}", "--out", "{folder}/o.npz"], ["damaged.npz", "whole NPZ"]),
+    (["simulate", "{scene}", "--hip", "{hip}", "--out", "{folder}"], ["{folder}"]),
+    (["simulate", "{folder}/a\nb.toml", "--hip", "{hip}", "--out", "{folder}/o.npz"], ["a b.toml"]),
+    (["simulate", "{folder}/a\0b.toml", "--hip", "{hip}", "--out", "{folder}/o.npz"], ["no name of a file"]),
+    (["simulate", "{scene}", "--hip", "{folder}/a\0b.npz", "--out", "{folder}/o.npz"], ["null"]),
+    (["simulate", "{scene}", "--hip", "{hip}", "--out", "{folder}/a\0b.npz"], ["null"]),
+    (
+        ["fit", "{both}", "--scene", "{scene}", "--free", "torsion.critical_area", "--json", "{folder}"],
+        ["regular file"],
+    ),
+    (
+        ["fit", "{both}", "--scene", "{scene}", "--free", "torsion.critical_area", "--report", "{hip}"],
+        ["hip.npz", "folder"],
+    ),
+    (
+        ["fit", "{both}", "--scene", "{scene}", "--free", "torsion.critical_area", "--json", "/dev/null"],
+        ["regular file"],
+    ),
+    (["--tyro-print-completion", "foo"], ["foo", "bash"]),
     (["demo", "--seed", "-1"], ["--seed", "-1"]),
     (["demo", "--seed", "one"], ["--seed", "one"]),
     (["demo", "--out", "{scene}"], ["scene.toml"]),
@@ -227,7 +255,10 @@ def places(tmp_path_factory):
     np.savez(folder / "both.npz", hip=hip, hip_t=t, force=hip, force_t=t)
     np.savez(folder / "single.npz", hip=hip[:1], hip_t=t[:1])
     np.savez(folder / "long.npz", hip=hip, hip_t=t * 1e9)
-    names = ("hip", "force", "both", "single", "long")
+    damaged = bytearray((folder / "hip.npz").read_bytes())
+    damaged[damaged.index(b"PK\1\2") + 6] = 99  # the version of ZIP that the directory asks for
+    (folder / "damaged.npz").write_bytes(damaged)
+    names = ("hip", "force", "both", "single", "long", "damaged")
     return {"folder": str(folder), "scene": str(folder / "scene.toml")} | {
         n: str(folder / f"{n}.npz") for n in names
     }
@@ -255,7 +286,7 @@ def test_a_malformed_scene_is_refused(old, new, words, tmp_path, capsys):
 @pytest.mark.parametrize(("arguments", "words"), ARGUMENTS, ids=[" ".join(a)[:60] for a, _ in ARGUMENTS])
 def test_malformed_arguments_are_refused(arguments, words, places, capsys):
     before = sorted(path for path in Path(places["folder"]).rglob("*"))
-    refused(capsys, [a.format(**places) for a in arguments], words)
+    refused(capsys, [a.format(**places) for a in arguments], [w.format(**places) for w in words])
     assert sorted(path for path in Path(places["folder"]).rglob("*")) == before
 
 

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import hapjax
+from hapjax.body import Motion, Wrench
 from helpers import G, angle_between, at_rest, away, matrix, moving, order, quaternion
 
 METHODS = [hapjax.SemiImplicit, hapjax.SemiImplicitMatrix]
@@ -146,3 +147,17 @@ def test_precision_is_kept(method, dtype):
     end, replies = hapjax.rollout(scene, state, at_rest(np.full((1, 3), 9.0, dtype), 50))
     assert {x.dtype for x in jax.tree.leaves((end, replies))} == {dtype}
     assert end.motion["it"].velocity == pytest.approx(np.array([0, 0, -G * 0.05]), rel=1e-5)
+
+
+def test_the_matrix_form_goes_on_with_the_nearer_quaternion():
+    """A matrix has two quaternions; poses that jump from one to the other could not be interpolated."""
+    body, shape, still = hapjax.Body(1.0), hapjax.Box((0.1, 0.1, 0.1)), jnp.zeros(3)
+    integrator, orientation = hapjax.SemiImplicitMatrix(), jnp.array([1.0, 0, 0, 0])
+    motion = Motion(still, orientation, still, jnp.array([0.0, 0, 7.0]))
+    advance = jax.jit(
+        lambda m: integrator.advance(body, shape, m, Wrench(still, still), False, None, jnp.asarray(0.01))
+    )
+    for _ in range(200):  # two turns
+        after = advance(motion)
+        assert jnp.sum(after.orientation * motion.orientation) > 0.99
+        motion = after

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from .device import DeviceClosed
+from .device import DeviceClosed, DeviceError
 from .operator import Hand, Operator
 
 ENCODER_STEP = 3e-5  # m
@@ -83,6 +83,8 @@ class VirtualDevice:
         return np.rint(self.operator.position / self.resolution) * self.resolution
 
     def _driven(self, force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        if not np.all(np.isfinite(force)):
+            raise DeviceError(f"the force is {force.tolist()} N; allowed: finite numbers")
         size = float(np.sqrt(force @ force))
         if size > self.force_limit:
             force = force * (self.force_limit / size)

@@ -63,4 +63,6 @@ class SemiImplicitMatrix(SemiImplicit):
         x = columns[0] / jnp.sqrt(jnp.sum(columns[0] ** 2))
         y = columns[1] - jnp.sum(columns[1] * x) * x
         y = y / jnp.sqrt(jnp.sum(y**2))
-        return rotation.from_matrix(jnp.stack([x, y, jnp.cross(x, y)], axis=1))
+        new = rotation.from_matrix(jnp.stack([x, y, jnp.cross(x, y)], axis=1))
+        # q and -q are one rotation; a path of poses is to go on with the nearer of the two.
+        return jnp.where(jnp.sum(new * orientation) < 0, -new, new)

@@ -121,7 +121,9 @@ def _layout(where: str, header: list[str]) -> dict[str, list[int]]:
 
 def _number(path: Path, line: int, column: str, cell: str) -> float:
     try:
-        if "_" in cell:  # Python reads 1_000 as a number; no other program writes one so
+        if (
+            "_" in cell or not cell.isascii()
+        ):  # Python reads 1_000 and other scripts' digits; no program writes them
             raise ValueError
         return float(cell)
     except ValueError:

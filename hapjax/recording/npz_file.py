@@ -29,7 +29,9 @@ def read(path: Path) -> tuple[dict[str, np.ndarray], Callable[[str, int], str]]:
             members = archive.infolist()
             _check_members(path, size, members)
             arrays = {_name(member): _read_array(path, archive, member) for member in members}
-    except zipfile.BadZipFile:
+    except InputError:
+        raise
+    except (zipfile.BadZipFile, NotImplementedError, ValueError):  # the last two from a damaged directory
         problem = "expected a whole NPZ file, found another format or one that was cut short"
         raise InputError(f"{path}: {problem}") from None
     return arrays, lambda channel, row: f"row {row}"

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..files import check_writable
 from . import csv_file, npz_file
 from .channels import ARRAYS, CHANNELS, Refusal, checked
 
@@ -76,9 +77,10 @@ class Recording:
             raise InputError("hip was not recorded; expected the fingers' positions")
         if len(self.hip_t) < 2:
             raise InputError("hip has one sample; expected at least two")
-        if np.allclose(np.diff(self.hip_t), dt, rtol=0, atol=1e-3 * dt):
+        with np.errstate(over="ignore"):
+            gaps, span = np.diff(self.hip_t), self.hip_t[-1] - self.hip_t[0]
+        if np.allclose(gaps, dt, rtol=0, atol=1e-3 * dt):
             return self.hip
-        span = self.hip_t[-1] - self.hip_t[0]
         if span > 1e7 * dt:
             raise InputError(f"hip spans {span:g} s; expected at most 10 million intervals of {dt:g} s")
         grid = self.hip_t[0] + dt * np.arange(int(np.floor(span / dt + 1e-6)) + 1)
@@ -99,6 +101,10 @@ class Recording:
             arrays, place = _format(path).read(path)
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        except InputError:
+            raise
+        except ValueError as error:  # a NUL in the name
+            raise InputError(f"{path}: cannot be read: {error}") from error
         try:
             return cls(**arrays)
         except Refusal as refusal:
@@ -106,6 +112,12 @@ class Recording:
             raise InputError(f"{path}, {refusal.channel}{row}: {refusal.problem}") from None
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+
+    @staticmethod
+    def check_writable(path: str | os.PathLike[str]) -> None:
+        """Refuse, before any work is done for it, a path that `save` could not write. **Raises:** `InputError`."""
+        _format(Path(path))
+        check_writable(path)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the recording as `.npz` or `.csv`, whole or not at all; `load` gives back the very numbers.

@@ -87,3 +87,11 @@ def test_opened_again_it_starts_again():
                 device.write(np.array([0.0, 0.0, 1.0]))
         runs.append(readings)
     np.testing.assert_array_equal(runs[0], runs[1])
+
+
+def test_a_force_that_is_no_number_is_refused_and_forgotten():
+    with VirtualDevice(np.zeros((1, 3))) as device:
+        with pytest.raises(DeviceError, match="nan"):
+            device.write(np.array([np.nan, 0.0, 0.0]))
+        device.write(np.zeros(3))
+        assert np.all(np.isfinite(device.read())) and np.all(np.isfinite(device.output))
