@@ -60,7 +60,7 @@ def _edge(loss: Callable[[float], float], most: float, inside: float, outside: f
 def _range(free: Float[Array, " p"], problem: Problem, i: int) -> tuple[float, float]:
     """From the kinetic mu, below which it cannot be, to where nothing breaks away."""
     parameter = problem.parameters[i]
-    kinetic = find_leaf(problem.scene_at(free), parameter.path.replace("mu_static", "mu_kinetic"))
+    kinetic = find_leaf(problem.scene_at(free), parameter.path.removesuffix("mu_static") + "mu_kinetic")
     low = float(kinetic if parameter.index is None else kinetic[parameter.index])
     sticking = problem.scene_at(raised(free, parameter, i))
     return low, 1.02 * largest_ratio(sticking, problem.groups, parameter)
