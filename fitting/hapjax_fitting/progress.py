@@ -10,9 +10,10 @@ from .solve import Trace, listen
 
 @contextmanager
 def following(trace: Trace, starts: int, max_steps: int):
-    """Show, on stderr, the solver's steps and the best loss so far while the block runs."""
+    """Show, on stderr if it is a terminal, the solver's steps and the best loss so far while the block runs."""
+    console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("compiling", total=max_steps)
 
         def on_step(start: int, step: int, loss: float) -> None:
