@@ -1,6 +1,7 @@
 """What a fit returns, and its forms for programs."""
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -63,8 +64,8 @@ class FitResult:
         return correlation(self.covariance)
 
     def to_dict(self) -> dict[str, Any]:
-        """The figures, ready for JSON."""
-        return {
+        """The figures, ready for JSON, which has no infinity: `None` stands for what is not finite."""
+        figures = {
             "parameters": {
                 name: {
                     "estimate": p.estimate,
@@ -82,9 +83,18 @@ class FitResult:
             "starts_at_best": self.starts_at_best,
             "wall_s": self.wall_s,
         }
+        return _finite(figures)
 
     def save_json(self, path: str | os.PathLike) -> None:
         """Write the figures as JSON, whole or not at all."""
         with replacing(path) as file:
             json.dump(self.to_dict(), file, indent=2, allow_nan=False)
             file.write("\n")
+
+
+def _finite(figure: Any) -> Any:
+    if isinstance(figure, Mapping):
+        return {key: _finite(value) for key, value in figure.items()}
+    if isinstance(figure, list):
+        return [_finite(value) for value in figure]
+    return None if isinstance(figure, float) and not math.isfinite(figure) else figure
