@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from hapjax import InputError, Recording, Scene, cast
 
 from .breakaway import between, broken_away, is_static
-from .grip import cost_of_grip, largest_ratio, raised, slipping_instead
+from .grip import cost_of_grip, holding_instead, is_needed, largest_ratio, raised, slipping_instead
 from .noise import noise_of, spread_of
 from .observation import CHANNELS
 from .parameters import Parameter, Selector, free_parameters
@@ -25,6 +25,8 @@ from .transform import Identity, Logit
 from .uncertainty import Certainty, certainty
 
 _MOST_SEARCHES = 4
+# Residuals beyond so many times the noise: what the model says of slip is then not what the recordings say.
+_EXPLAINED = 10.0
 
 
 def fit(
@@ -116,7 +118,11 @@ def _better(problem: Problem, ends: Solutions) -> Array | None:
     """Where to search again: a better place that the solver's gradients do not lead to, if there is one."""
     free = ends.free[ends.best]
     variance = 2 * float(ends.loss[ends.best]) / problem.measured()
-    flat = cost_of_grip(free, problem) <= NOTICEABLE * variance
+    cost = cost_of_grip(free, problem)
+    holding = holding_instead(free, problem, cost < -NOTICEABLE * variance, variance)
+    if holding is not None:
+        return holding
+    flat = cost <= NOTICEABLE * variance
     found = slipping_instead(free, problem, flat, variance) if flat.any() else None
     return broken_away(free, problem, variance) if found is None else found
 
@@ -137,13 +143,14 @@ def _result(
     cost, chance = cost_of_grip(free, problem), NOTICEABLE * float(np.mean(variance))
     widest = np.array([p.transform.widest for p in problem.parameters])
     known = certainty(np.asarray(matrix), variance, widest, cost > chance)
+    explained = max(size.values()) < _EXPLAINED  # in units of the noise
     jumping = [is_static(problem, i) and cost[i] > chance for i in range(len(free))]
     estimates = {
         p.name: _breakaway(problem, free, i, float(np.mean(variance)))
         if jumping[i]
         else _estimate(p, free[i], known, i)
         if known.identified[i]
-        else _not_identified(problem, free, known, i, float(cost[i]), chance)
+        else _not_identified(problem, free, known, i, float(cost[i]), chance, explained)
         for i, p in enumerate(problem.parameters)
     }
     units = {name: float(getattr(problem.noise, name)) for name in size}
@@ -192,16 +199,21 @@ def _interval(transform, free, deviation: float, width: float) -> tuple[float, f
 
 
 def _not_identified(
-    problem: Problem, free: Array, known: Certainty, i: int, cost: float, chance: float
+    problem: Problem, free: Array, known: Certainty, i: int, cost: float, chance: float, explained: bool
 ) -> Estimate:
     """No number, but why not, and how large a mu is at least."""
     parameter, bound = problem.parameters[i], None
     end = _reached_bound(parameter, float(free[i]))
-    if cost <= chance and not parameter.path.endswith("mu_kinetic"):  # what sticks says nothing of sliding
+    sticks = cost <= chance and not parameter.path.endswith("mu_kinetic")  # which says nothing of sliding
+    if sticks and explained:
         scene = problem.scene_at(raised(free, parameter, i) if cost <= 0 else free)
         bound = largest_ratio(scene, problem.groups, parameter) or None
     if end is not None:
         reason = f"ran to its bound {end:g}"
+    elif sticks and not explained:
+        reason = "the model does not explain the data"
+    elif bound is not None and not is_needed(bound, free, problem, i, chance / NOTICEABLE):
+        bound, reason = None, "the data do not depend on it"
     elif cost <= chance and bound is None:
         reason = "nothing slid" if parameter.path.endswith("mu_kinetic") else "nothing touched"
     elif cost <= chance:

@@ -80,6 +80,42 @@ def slipping_instead(
     return found
 
 
+def holding_instead(
+    free: Float[Array, " p"], problem: Problem, low: Bool[np.ndarray, " p"], variance: float
+) -> Float[Array, " p"] | None:
+    """Free numbers with a larger mu, just enough that nothing slips, that explain the data better, if there
+    are any.
+
+    Where all starts slip in what was recorded without slip, the other numbers make up for a mu that is too
+    small, and the solver may end before it reaches one that holds. A `mu_kinetic` is left alone, as it
+    cannot be above its `mu_static`, which is searched by its loss.
+    """
+    found = None
+    lowest = float(loss_at(free, problem)) - NOTICEABLE * variance / 2
+    for i in np.flatnonzero(low).tolist():
+        parameter, base = problem.parameters[i], free if found is None else found
+        if not parameter.path.endswith(".mu"):
+            continue
+        gripping = problem.scene_at(raised(base, parameter, i))
+        enough = 1.02 * largest_ratio(gripping, problem.groups, parameter)
+        trial = base.at[i].set(value_near(parameter, enough, base)) if enough > 0 else base
+        loss = float(loss_at(trial, problem))
+        if loss < lowest:
+            lowest, found = loss, trial
+    return found
+
+
+def is_needed(bound: float, free: Float[Array, " p"], problem: Problem, i: int, variance: float) -> bool:
+    """Whether the data need a mu of about `bound`: with a tenth of it they are explained noticeably worse.
+
+    Fingers on a surface whose forces are all below the noise need none, whatever the model has them do.
+    """
+    less = free.at[i].set(value_near(problem.parameters[i], bound / 10, free))
+    enough = free.at[i].set(value_near(problem.parameters[i], 1.02 * bound, free))
+    grown = 2 * (float(loss_at(less, problem)) - float(loss_at(enough, problem)))
+    return grown > NOTICEABLE * variance
+
+
 def value_near(parameter: Parameter, value: float, like: Array) -> Array:
     """The unconstrained number of a value, moved between the parameter's bounds where it is not."""
     transform = parameter.transform

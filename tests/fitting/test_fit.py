@@ -1,6 +1,7 @@
 """fit on synthetic recordings: what was put in is found again, and what cannot be known is not claimed."""
 
 import json
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -150,6 +151,30 @@ def test_with_slip_mu_is_found_from_far_below_and_far_above(start):
     assert result.starts >= result.starts_at_best >= 1
 
 
+def light_press(truth):
+    """A finger that presses and hardly moves: nothing slips."""
+    t = 1e-3 * np.arange(1000)
+    path = np.stack([5e-4 * np.sin(20 * t), 0 * t, -0.0025 - 5e-4 * np.sin(13 * t)], axis=-1)[:, None]
+    force = forces(truth, path) + SIGMA * np.random.default_rng(1).standard_normal(path.shape)
+    return Recording(hip=path, hip_t=t, force=force, force_t=t)
+
+
+def test_without_slip_the_optimum_is_found_from_a_mu_at_which_all_starts_slip():
+    result = fitted(light_press(floor()), scene=floor(0.05, 1600.0), noise=None)
+    mu = result.parameters[MU]
+    assert not mu.identified and mu.reason == "nothing slipped" and 0.1 < mu.interval95[0] < 0.6
+    assert within(result, STIFFNESS, 800.0, widths=4)
+    assert result.residual_rms["force"] == pytest.approx(SIGMA, rel=0.1)
+
+
+@pytest.mark.parametrize("noise", [None, NOISE])
+def test_a_dead_sensor_gives_no_bound(noise):
+    recording = light_press(floor())
+    dead = replace(recording, force=np.zeros_like(recording.force))
+    mu = fitted(dead, scene=floor(), noise=noise).parameters[MU]
+    assert mu.interval95 == (None, None) and "slipped" not in mu.reason
+
+
 def test_without_contact_nothing_is_identified():
     t, path = stroke()
     force = SIGMA * np.random.default_rng(0).standard_normal((len(t), 1, 3))
@@ -218,6 +243,16 @@ def test_static_and_kinetic_friction_are_told_apart():
     assert not stuck[free[0]].identified and 0 < stuck[free[0]].interval95[0] <= 0.7
     assert not stuck[free[1]].identified and stuck[free[1]].interval95 == (None, None)
     assert stuck[free[1]].reason == "nothing slid"
+
+
+def test_an_object_may_be_called_as_a_number_is():
+    scene = hapjax.Scene(
+        object={
+            "mu_static": hapjax.Object(hapjax.Plane(), hapjax.Surface(800.0, mu_static=0.7, mu_kinetic=0.4))
+        }
+    )
+    path = "object.mu_static.surface.mu_static"
+    assert within(fitted(recorded(scene), scene=scene, free=[path]), path, 0.7)
 
 
 @pytest.mark.slow
@@ -298,8 +333,19 @@ def test_json_is_strict_and_has_the_agreed_keys(tmp_path):
     assert low < stiffness["estimate"] < high and stiffness["identified"] is True
 
 
-def test_progress_is_shown_on_stderr_alone(capfd, monkeypatch):
-    monkeypatch.setenv("FORCE_COLOR", "1")  # rich shows nothing where nobody looks
+def test_json_has_null_for_what_is_not_finite(tmp_path):
+    result = replace(fitted(recorded(floor())), loss=np.inf, residual_rms={"force": np.nan})
+    result.save_json(tmp_path / "fit.json")
+    read = json.loads((tmp_path / "fit.json").read_text())
+    assert read["loss"] is None and read["residual_rms"] == {"force": None}
+
+
+def test_progress_is_shown_on_stderr_alone_and_on_a_terminal_alone(capfd, monkeypatch):
+    for name in ("FORCE_COLOR", "TTY_COMPATIBLE"):
+        monkeypatch.delenv(name, raising=False)
+    fitted(recorded(floor()), progress=True)
+    assert capfd.readouterr() == ("", "")
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes stderr for a terminal
     fitted(recorded(floor()), progress=True)
     out, err = capfd.readouterr()
     assert out == "" and "2 starts, step" in err
