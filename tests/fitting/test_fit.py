@@ -167,6 +167,13 @@ def test_without_slip_the_optimum_is_found_from_a_mu_at_which_all_starts_slip():
     assert result.residual_rms["force"] == pytest.approx(SIGMA, rel=0.1)
 
 
+def test_a_model_that_does_not_explain_the_data_gives_no_bound():
+    recording = light_press(floor())
+    wave = np.sin(0.2 * np.arange(1000))[:, None, None] * np.array([0.0, 0.0, 1.0])
+    mu = fitted(replace(recording, force=recording.force + wave), scene=floor()).parameters[MU]
+    assert mu.interval95 == (None, None) and mu.reason == "the model does not explain the data"
+
+
 @pytest.mark.parametrize("noise", [None, NOISE])
 def test_a_dead_sensor_gives_no_bound(noise):
     recording = light_press(floor())
