@@ -84,13 +84,15 @@ def touch_plane(
         gods = eqx.tree_at(
             lambda g: g.point, gods, gods.point + rotation.turn_back(plane.matrix, rolled)[None]
         )
-    gods, touch = jax.vmap(lambda g, p, v: god_object.touch(plane.shape, contact, g, p, v))(gods, local, slip)
+    gods, touch = jax.vmap(lambda g, p, v: god_object.touch(plane.shape, contact, g, p, v, dt))(
+        gods, local, slip
+    )
     return gods, touch, rotation.turn(plane.matrix, touch.force)
 
 
 def start(contact: Contact, placed: Placed, plane: Placed) -> GodObject:
     """God-objects of an object that has not touched the plane yet."""
-    return god_object.start(contact, plane.to_local(contact_points(placed, plane)))
+    return god_object.start(plane.shape, contact, plane.to_local(contact_points(placed, plane)))
 
 
 def is_plane(shape: Shape) -> bool:

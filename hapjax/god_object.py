@@ -1,14 +1,15 @@
 """One point that touches one surface: MHS section 2, steps 1 to 5.
 
-The point is a finger's haptic interface point (HIP) or an object's vertex; the same code serves both.
+The point is a finger's haptic interface point (HIP) or a point of another object; the same code serves both.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from . import friction
-from .shape import Shape
+from .friction import Press
+from .shape import Shape, SurfacePoint, Track
 from .surface import Surface
 
 
@@ -16,13 +17,15 @@ class GodObject(eqx.Module):
     """The memory of a touching point, in the touched object's frame.
 
     `point` (m) is the god-object; out of contact it is the touching point itself. `depth` (m) is that of the last
-    step; above 0 means that the point was in contact. `sliding` (1 or 0) is kept only where static and kinetic
-    friction differ.
+    step; above 0 means that the point was in contact. `sliding` is what the friction law remembers (of static and
+    kinetic friction, 1 while the god-object is dragged, else 0) and `track` what the shape does; each is `None` where
+    that is nothing.
     """
 
     point: Float[Array, "*n 3"]
     depth: Float[Array, "*n"]
     sliding: Float[Array, "*n"] | None
+    track: Track | None = None
 
 
 class Touch(eqx.Module):
@@ -38,10 +41,10 @@ class Touch(eqx.Module):
     circle: Float[Array, "*n"]
 
 
-def start(surface: Surface, points: Float[Array, "n 3"]) -> GodObject:
+def start(shape: Shape, surface: Surface, points: Float[Array, "n 3"]) -> GodObject:
     """God-objects of points that have touched nothing yet."""
-    sliding = None if surface.mu_kinetic is None else jnp.zeros_like(points[:, 0])
-    return GodObject(points, jnp.zeros_like(points[:, 0]), sliding)
+    sliding = jnp.zeros_like(points[:, 0]) if surface.remembers() else None
+    return GodObject(points, jnp.zeros_like(points[:, 0]), sliding, jax.vmap(shape.start)(points))
 
 
 def touch(
@@ -50,41 +53,70 @@ def touch(
     god: GodObject,
     point: Float[Array, "3"],
     velocity: Float[Array, "3"] | None,
+    dt: Float[Array, ""] | None,
 ) -> tuple[GodObject, Touch]:
     """The force on a point that touches a surface, and where its god-object goes.
 
     In contact (depth d > 0) the normal force is k d (1 + c d'), not below 0 (Hunt and Crossley 1975), and the
-    tangential one k times the god-object's offset, plus k d c times the slip velocity, limited by the friction cone.
-    At first touch the god-object is the surface point.
+    tangential one k times the god-object's offset, plus k d c times the slip velocity, limited by the friction cone;
+    or what another friction law makes of them. At first touch the god-object is the surface point.
 
-    **Arguments:** `point` (m) and its `velocity` against the surface (m/s; only read where there is damping), both in
-    the touched object's frame.
+    **Arguments:** `point` (m) and its `velocity` against the surface (m/s), both in the touched object's frame, and
+    the step `dt` (s); the latter two are only read where the surface `needs_velocity`.
     """
-    near = shape.closest(point)
+    track, near = shape.follow(god.track, point)
+    offset = jnp.where(god.depth > 0, god.point - near.point, 0)
+    rounding = 8 * jnp.finfo(point.dtype).eps * (jnp.max(jnp.abs(point)) + jnp.max(jnp.abs(god.point)))
+    offset, sliding, result = press(surface, near, offset, god.sliding, velocity, dt, rounding)
+    in_contact = near.depth > 0
+    held = jnp.where(in_contact, near.point + offset, point)
+    depth = jnp.where(in_contact, near.depth, 0)
+    return GodObject(held, depth, sliding, track), result
+
+
+def press(
+    surface: Surface,
+    near: SurfacePoint,
+    offset: Float[Array, "3"],
+    sliding: Float[Array, ""] | None,
+    velocity: Float[Array, "3"] | None,
+    dt: Float[Array, ""] | None,
+    rounding: Float[Array, ""],
+) -> tuple[Float[Array, "3"], Float[Array, ""] | None, Touch]:
+    """The law of a touch: the god-object's new offset from the surface point, what friction remembers, the force.
+
+    **Arguments:** `offset` (m), the god-object from the surface point before; `sliding`, what friction remembered;
+    the others as for `touch`.
+    """
     in_contact = near.depth > 0
     depth = jnp.where(in_contact, near.depth, 0)
+    normal = near.normal
+    stiffness = surface.stiffness if surface.tangential_stiffness is None else surface.tangential_stiffness
     normal_force = surface.stiffness * depth
-    viscous = None
-    if surface.damping is not None and velocity is not None:
-        deepening = -jnp.sum(near.normal * velocity)
-        slip = velocity + deepening * near.normal
-        viscous = -surface.damping * normal_force * slip
-        normal_force = normal_force * jnp.maximum(1 + surface.damping * deepening, 0)
+    slip = viscous = None
+    if velocity is not None:
+        deepening = -jnp.sum(normal * velocity)
+        slip = velocity + deepening * normal
+        if surface.damping is not None:
+            viscous = -surface.damping * normal_force * slip
+            normal_force = normal_force * jnp.maximum(1 + surface.damping * deepening, 0)
 
-    offset = jnp.where(god.depth > 0, god.point - near.point, 0)
-    offset = offset - jnp.sum(offset * near.normal) * near.normal
-    static, kinetic = surface.static_at(near.face), surface.kinetic_at(near.face)
-    law = friction.cone(
-        offset,
-        surface.stiffness,
-        viscous,
-        static * normal_force,
-        None if kinetic is None else kinetic * normal_force,
-        god.sliding,
-        rounding=8 * jnp.finfo(point.dtype).eps * (jnp.max(jnp.abs(point)) + jnp.max(jnp.abs(god.point))),
+    law = surface.law().hold(
+        Press(
+            offset - jnp.sum(offset * normal) * normal,
+            stiffness,
+            normal_force,
+            viscous,
+            slip,
+            sliding,
+            rounding,
+            dt,
+            lambda pull: surface.static_at(near, pull),
+            None if surface.mu_kinetic is None else lambda pull: surface.kinetic_at(near, pull),
+        )
     )
-    held = jnp.where(in_contact, near.point + law.offset, point)
-    sliding = None if god.sliding is None else (law.dragged & in_contact).astype(point.dtype)
     friction_force = jnp.where(in_contact, law.force, 0)
-    force = normal_force * near.normal + friction_force
-    return GodObject(held, depth, sliding), Touch(force, normal_force, friction_force, static * depth)
+    force = normal_force * normal + friction_force
+    circle = surface.static_at(near, friction_force) * depth
+    remembered = None if law.sliding is None else jnp.where(in_contact, law.sliding, 0)
+    return law.offset, remembered, Touch(force, normal_force, friction_force, circle)

@@ -4,54 +4,73 @@ For identification from recordings of an object that slides on feet: where the f
 is measured, the friction they feel is wanted.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from . import friction
 from .errors import InputError
+from .friction import Press
 from .shape import Plane
 from .surface import Surface
 
 
-def drag(surface: Surface, points: Float[Array, "T V 3"], loads: Float[Array, " V"]) -> Float[Array, "T V 3"]:
+def drag(
+    surface: Surface, points: Float[Array, "T V 3"], loads: Float[Array, " V"], dt: Any = None
+) -> Float[Array, "T V 3"]:
     """The friction force (N) of a plane on V points pressed onto it, at each of T times of their motion.
 
-    Each point has a god-object that starts at the point and is then dragged by MHS's friction circle (section
-    2) with the radius mu load / stiffness. The stiffer the surface, the closer to Coulomb's law for rigid
-    bodies; the forces depend on the path alone, not on how fast it is passed.
+    Each point has a god-object that starts at the point and is then moved by the surface's friction law: with the
+    cone, dragged by MHS's friction circle (section 2) of the radius mu load / stiffness. The stiffer the surface, the
+    closer to Coulomb's law for rigid bodies.
 
     **Arguments:**
 
-    - `surface`: its mu, or mu_static and mu_kinetic, and its stiffness, here the tangential one (N/m).
+    - `surface`: its mu, or mu_static and mu_kinetic, its stiffness, here the tangential one (N/m), its law.
     - `points`: m, in the plane's frame (normal +z); their heights are not read.
     - `loads`: the normal force on each point, N, 0 or above, the same at all times.
+    - `dt`: s between the times, for a surface with damping or a law that depends on velocity; the forces of others
+      depend on the path alone.
 
-    **Raises:** `InputError` for a surface with damping, whose force would need the motion's clock, or with a
-    list of mu that is not of one face.
+    **Raises:** `InputError` where such a surface is given without `dt`, or a list of mu that is not of one face.
     """
     surface.check_faces(Plane.faces)
-    if surface.damping is not None:
-        raise InputError("damping is given; allowed for points with known loads: a surface without")
-    face = jnp.zeros((), jnp.int32)
-    static, kinetic = surface.static_at(face), surface.kinetic_at(face)
-    in_plane = jnp.array([1, 1, 0], points.dtype)
-
-    def one(god, sliding, point, load):
-        law = friction.cone(
-            (god - point) * in_plane,
-            surface.stiffness,
-            None,
-            static * load,
-            None if kinetic is None else kinetic * load,
-            None if kinetic is None else sliding,
-            rounding=8 * jnp.finfo(point.dtype).eps * (jnp.max(jnp.abs(point)) + jnp.max(jnp.abs(god))),
+    if surface.needs_velocity() and dt is None:
+        raise InputError(
+            "dt is missing; allowed: the time between points, for a surface that needs velocities"
         )
-        return point + law.offset, law.dragged.astype(point.dtype), law.force
+    clock = None if dt is None else jnp.asarray(dt, points.dtype)
+    in_plane = jnp.array([1, 1, 0], points.dtype)
+    near = Plane().closest(jnp.zeros_like(in_plane))
+    stiffness = surface.stiffness if surface.tangential_stiffness is None else surface.tangential_stiffness
+    law = surface.law()
+
+    def one(god, sliding, point, load, before):
+        slip = viscous = None
+        if surface.needs_velocity():
+            slip = (point - before) * in_plane / clock
+            viscous = None if surface.damping is None else -surface.damping * load * slip
+        result = law.hold(
+            Press(
+                (god - point) * in_plane,
+                stiffness,
+                load,
+                viscous,
+                slip,
+                sliding,
+                8 * jnp.finfo(point.dtype).eps * (jnp.max(jnp.abs(point)) + jnp.max(jnp.abs(god))),
+                clock,
+                lambda pull: surface.static_at(near, pull),
+                None if surface.mu_kinetic is None else lambda pull: surface.kinetic_at(near, pull),
+            )
+        )
+        return point + result.offset, result.sliding, result.force
 
     def all_points(memory, now):
-        god, sliding = memory
-        god, sliding, force = jax.vmap(one)(god, sliding, now, loads)
-        return (god, sliding), force
+        god, sliding, before = memory
+        god, sliding, force = jax.vmap(one)(god, sliding, now, loads, before)
+        return (god, sliding, now), force
 
-    return jax.lax.scan(all_points, (points[0], jnp.zeros_like(loads)), points)[1]
+    sliding = jnp.zeros_like(loads) if surface.remembers() else None
+    return jax.lax.scan(all_points, (points[0], sliding, points[0]), points)[1]

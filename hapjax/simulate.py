@@ -56,7 +56,7 @@ def init(scene: Scene, hip: Float[Any, "F 3"]) -> State:
     motion = OrderedDict((name, _at_rest(scene, name)) for name in scene.moving())
     finger = OrderedDict()
     for name in scene.touchable():
-        finger[name] = god_object.start(_surface(scene, name), placed[name].to_local(hip))
+        finger[name] = god_object.start(placed[name].shape, _surface(scene, name), placed[name].to_local(hip))
     contact = OrderedDict(
         (name, pairs.start(pair, *_mover_and_plane(scene, name, placed)[1:]))
         for name, pair in scene.contact.items()
@@ -112,7 +112,7 @@ def _substep(
     twists: dict[str, grasp.Twist | None] = {}
 
     for name in scene.touchable():
-        fingers[name], touches[name], on_finger = _feel(scene, state, placed[name], name, hip, velocity)
+        fingers[name], touches[name], on_finger = _feel(scene, state, placed[name], name, hip, velocity, dt)
         force = force + on_finger
         if name in state.motion:
             wrenches[name], twists[name] = _grasp(
@@ -131,12 +131,12 @@ def _substep(
     return after, Reply(force, jnp.stack(pose) if pose else jnp.zeros((0, 7), hip.dtype), touches, collisions)
 
 
-def _feel(scene, state, placed: Placed, name: str, hip, velocity):
+def _feel(scene, state, placed: Placed, name: str, hip, velocity, dt):
     """All fingers on one object: god-objects, touches, and forces on the fingers in the world frame."""
     surface = _surface(scene, name)
     local = placed.to_local(hip)
     slip = None
-    if surface.damping is not None:
+    if surface.needs_velocity():
         slip = velocity
         if name in state.motion:
             arms = hip - _centre(scene, placed, name)[None]
@@ -144,7 +144,7 @@ def _feel(scene, state, placed: Placed, name: str, hip, velocity):
         slip = rotation.turn_back(placed.matrix, slip)
 
     def one(god, point, speed):
-        return god_object.touch(placed.shape, surface, god, point, speed)
+        return god_object.touch(placed.shape, surface, god, point, speed, dt)
 
     axes = (0, 0, None if slip is None else 0)
     gods, touch = jax.vmap(one, in_axes=axes)(state.finger[name], local, slip)
@@ -223,8 +223,8 @@ def _at_rest(scene: Scene, name: str) -> Motion:
 
 
 def _needs_hip(scene: Scene) -> bool:
-    damped = any(_surface(scene, name).damping is not None for name in scene.touchable())
-    return damped or scene.integrator.substeps > 1
+    hurried = any(_surface(scene, name).needs_velocity() for name in scene.touchable())
+    return hurried or scene.integrator.substeps > 1
 
 
 def _as_hip(scene: Scene, hip: Any) -> Float[Array, "F 3"]:

@@ -3,11 +3,16 @@
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from . import safe
 from ._validate import as_float, check_not_negative, check_number, check_positive, is_traced
 from .errors import InputError
+from .friction import Cone, Law
+from .shape import SurfacePoint
 
 
 class Surface(eqx.Module):
@@ -20,6 +25,11 @@ class Surface(eqx.Module):
     - `mu_static`, `mu_kinetic`: instead of `mu`, where breaking away takes more than sliding on; the static one is
       the larger.
     - `damping`: Hunt-Crossley loss c in s/m, 0 or above. `None`: none, and no arithmetic for it.
+    - `tangential_stiffness`: N/m, above 0, of the spring that friction stretches. `None`: `stiffness`.
+    - `anisotropy`: mu across the grain over mu along it, above 0. `None`: mu is the same in all directions.
+    - `grain`: the direction of the grain, in the object's frame, for a surface with `anisotropy`; a face has that of its
+      projection. A face that it is normal to has mu across the grain in all directions.
+    - `friction`: the law. `None`: the cone.
 
     **Raises:** `InputError` where a number is out of its range, or neither or both kinds of mu are given.
     """
@@ -29,11 +39,18 @@ class Surface(eqx.Module):
     mu_static: Float[Array, "*faces"] | None = eqx.field(converter=as_float, default=None)
     mu_kinetic: Float[Array, "*faces"] | None = eqx.field(converter=as_float, default=None)
     damping: Float[Array, ""] | None = eqx.field(converter=as_float, default=None)
+    tangential_stiffness: Float[Array, ""] | None = eqx.field(converter=as_float, default=None)
+    anisotropy: Float[Array, ""] | None = eqx.field(converter=as_float, default=None)
+    grain: Float[Array, "3"] | None = eqx.field(converter=as_float, default=None)
+    friction: Law | None = None
 
     def __check_init__(self):
         check_positive("stiffness", self.stiffness, unit="N/m")
         if self.damping is not None:
             check_not_negative("damping", self.damping, unit="s/m")
+        if self.tangential_stiffness is not None:
+            check_positive("tangential_stiffness", self.tangential_stiffness, unit="N/m")
+        self._check_grain()
         names = [n for n in ("mu", "mu_static", "mu_kinetic") if getattr(self, n) is not None]
         if names not in (["mu"], ["mu_static", "mu_kinetic"]):
             given = f"{' and '.join(names)} given" if names else "mu is missing"
@@ -43,26 +60,76 @@ class Surface(eqx.Module):
             shape = getattr(value, "shape", ())
             check_not_negative(name, value, shape=shape if len(shape) <= 1 else (), unit="")
         _check_order(self.mu_static, self.mu_kinetic)
+        if self.friction is not None and not isinstance(self.friction, Law):
+            raise InputError(f"friction is {self.friction!r}; allowed: a friction law")
+
+    def _check_grain(self) -> None:
+        if (self.anisotropy is None) != (self.grain is None):
+            missing = "grain" if self.grain is None else "anisotropy"
+            raise InputError(f"{missing} is missing; allowed: anisotropy and grain, or neither")
+        if self.anisotropy is None:
+            return
+        check_positive("anisotropy", self.anisotropy, unit="")
+        check_number("grain", self.grain, "three numbers that are not all 0", shape=(3,))
+        if not is_traced(self.grain) and not np.any(np.asarray(self.grain)):
+            raise InputError("grain is [0, 0, 0]; allowed: three numbers that are not all 0")
 
     def check_faces(self, faces: tuple[str, ...]) -> None:
         """Refuse a list of mu whose length is not the number of the shape's faces."""
         for name in ("mu", "mu_static", "mu_kinetic"):
             value = getattr(self, name)
             if value is not None and value.ndim == 1:
+                shown = ", ".join(faces) if len(faces) < 50 else f"{faces[0]} to {faces[-1]}"
                 check_number(
-                    name,
-                    value,
-                    f"one number, or one for each of the faces {', '.join(faces)}",
-                    shape=(len(faces),),
+                    name, value, f"one number, or one for each of the faces {shown}", shape=(len(faces),)
                 )
 
-    def static_at(self, face: Int[Array, ""]) -> Float[Array, ""]:
-        """The mu of breaking away on a face."""
-        return _of_face(self.mu if self.mu_static is None else self.mu_static, face)
+    def law(self) -> Law:
+        """The friction law."""
+        return _CONE if self.friction is None else self.friction
 
-    def kinetic_at(self, face: Int[Array, ""]) -> Float[Array, ""] | None:
-        """The mu of sliding on a face where it is a number of its own."""
-        return None if self.mu_kinetic is None else _of_face(self.mu_kinetic, face)
+    def remembers(self) -> bool:
+        """Whether the law keeps a number of each touching point from step to step."""
+        return self.law().remembers(self.mu_kinetic is not None)
+
+    def needs_velocity(self) -> bool:
+        """Whether a touch depends on how fast the point moves."""
+        return self.damping is not None or self.law().needs_slip
+
+    def static_at(self, near: SurfacePoint, direction: Float[Array, "3"]) -> Float[Array, ""]:
+        """The mu of breaking away at a surface point, against a pull in a direction of its tangent plane."""
+        return self._at(self.mu if self.mu_static is None else self.mu_static, near, direction)
+
+    def kinetic_at(self, near: SurfacePoint, direction: Float[Array, "3"]) -> Float[Array, ""]:
+        """The mu of sliding there, `mu` where it is no number of its own."""
+        return self._at(self.mu if self.mu_kinetic is None else self.mu_kinetic, near, direction)
+
+    def _at(self, mu: Any, near: SurfacePoint, direction: Float[Array, "3"]) -> Float[Array, ""]:
+        """Each plane of a corner holds with its own mu and its share of the normal force, in its own plane."""
+        corner = near.corner
+        if corner is None:
+            return self._along(_of_face(mu, near.face), near.normal, direction)
+        unit = safe.normalise(direction)
+
+        def one(face, normal, weight):
+            inside = unit - jnp.sum(unit * normal) * normal
+            return self._along(_of_face(mu, face), normal, inside) * weight * safe.norm(inside)
+
+        share = jnp.sum(jax.vmap(one)(corner.faces, corner.normals, corner.weights))
+        return jnp.where(jnp.any(direction != 0), share, _of_face(mu, near.face))
+
+    def _along(self, mu: Any, normal: Float[Array, "3"], direction: Float[Array, "3"]) -> Float[Array, ""]:
+        """mu in a direction: the radius of an ellipse with mu along the grain and anisotropy times mu across it."""
+        if self.anisotropy is None or self.grain is None:
+            return mu
+        along = safe.normalise(self.grain - jnp.sum(self.grain * normal) * normal)
+        cosine = jnp.sum(safe.normalise(direction) * along)
+        across = self.anisotropy
+        # 1 / sqrt(cos^2 + sin^2 / across^2), with sin^2 = 1 - cos^2
+        return mu * across / jnp.sqrt(1 - cosine**2 * (1 - across**2))
+
+
+_CONE = Cone()
 
 
 def _of_face(mu: Any, face: Int[Array, ""]) -> Float[Array, ""]:

@@ -9,17 +9,27 @@ from hapjax import friction
 
 
 def cone(offset, stiffness=500.0, viscous=None, limit=0.3, kinetic=None, sliding=None, dtype=np.float64):
-    given = dict(offset=offset, stiffness=stiffness, viscous=viscous, static_limit=limit)
-    given |= dict(kinetic_limit=kinetic, sliding=sliding, rounding=1e-15)
+    given = dict(offset=offset, stiffness=stiffness, viscous=viscous, static=limit)
+    given |= dict(kinetic=kinetic, sliding=sliding, rounding=1e-15)
     return _cone(**{k: None if v is None else jnp.asarray(v, dtype) for k, v in given.items()})
 
 
-_cone = jax.jit(friction.cone)
+@jax.jit
+def _cone(offset, stiffness, viscous, static, kinetic, sliding, rounding):
+    """Under a normal force of 1 N, so that mu and the limit are one number."""
+    one = jnp.ones_like(stiffness)
+    directed = None if kinetic is None else lambda pull: kinetic
+    if kinetic is not None and sliding is None:
+        sliding = 0 * one
+    press = friction.Press(
+        offset, stiffness, one, viscous, None, sliding, rounding, None, lambda pull: static, directed
+    )
+    return friction.Cone().hold(press)
 
 
 def test_within_the_circle_the_offset_stays(dtype):
     law = cone([3e-4, -4e-4, 0.0], limit=0.2501, dtype=dtype)
-    assert not law.dragged
+    assert law.sliding is None
     assert np.array_equal(law.offset, np.asarray([3e-4, -4e-4, 0], dtype))
     assert law.force == pytest.approx(np.array([0.15, -0.2, 0]), rel=1e-6)
     assert law.force.dtype == law.offset.dtype == dtype
@@ -27,7 +37,6 @@ def test_within_the_circle_the_offset_stays(dtype):
 
 def test_beyond_it_the_offset_goes_to_the_edge(dtype):
     law = cone([3e-4, -4e-4, 0.0], limit=0.1, dtype=dtype)
-    assert law.dragged
     assert law.force == pytest.approx(np.array([0.06, -0.08, 0]), rel=1e-6)
     assert law.offset == pytest.approx(np.array([1.2e-4, -1.6e-4, 0]), rel=1e-6)
 
@@ -47,7 +56,7 @@ def test_the_viscous_share_counts_towards_the_limit():
 def test_static_holds_until_passed_then_kinetic(offset, sliding, force):
     law = cone([offset, 0, 0.0], limit=0.3, kinetic=0.2, sliding=sliding)
     assert law.force[0] == pytest.approx(force, rel=1e-12)
-    assert bool(law.dragged) == (force == 0.2)
+    assert bool(law.sliding) == (force == 0.2)
 
 
 def test_force_never_passes_the_limit():

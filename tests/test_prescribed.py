@@ -76,7 +76,7 @@ def test_gradients_are_finite_and_agree():
 @pytest.mark.parametrize(
     ("extra", "says"),
     [
-        ({"mu": 0.3, "damping": 1.0}, "damping is given"),
+        ({"mu": 0.3, "damping": 1.0}, "dt is missing"),
         ({"mu": [0.3, 0.4]}, "one for each of the faces plane"),
     ],
 )

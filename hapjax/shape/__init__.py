@@ -1,7 +1,9 @@
 """Shapes: closest surface point, outward normal, depth and face of any query point."""
 
+from ._shape import Corner as Corner
 from ._shape import Shape as Shape
 from ._shape import SurfacePoint as SurfacePoint
+from ._shape import Track as Track
 from .box import Box as Box
 from .plane import Plane as Plane
 from .sphere import Sphere as Sphere

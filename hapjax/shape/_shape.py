@@ -1,36 +1,107 @@
 """What every shape can say of itself."""
 
 from abc import abstractmethod
-from typing import ClassVar
 
 import equinox as eqx
+import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
+
+from .. import safe
+
+
+class Corner(eqx.Module):
+    """The planes that hold a point in a concave corner at once (Zilles and Salisbury 1995).
+
+    normal . depth of the surface point is the sum of `weights` times depth times `normals`; planes that do not take
+    part have the weight 0. `faces` are their faces.
+    """
+
+    normals: Float[Array, "n 3"]
+    weights: Float[Array, "n"]
+    faces: Int[Array, "n"]
 
 
 class SurfacePoint(eqx.Module):
-    """The point of a surface that is closest to a query point, all in the shape's own frame.
+    """A point of a surface and the query point that it belongs to, all in the shape's own frame.
 
-    `depth` = normal . (point - query), in metres, is positive inside; `face` indexes `Shape.faces`.
+    `depth` = normal . (point - query), in metres, is positive inside; `face` is the index of the face, for a mu of its
+    own. `corner` is `None` on a shape that has no concave corners.
     """
 
     point: Float[Array, "3"]
     normal: Float[Array, "3"]
     depth: Float[Array, ""]
     face: Int[Array, ""]
+    corner: Corner | None = None
+
+
+class Track(eqx.Module):
+    """Where a touching point was, on a shape whose faces meet at edges; in the shape's frame.
+
+    `query` (m) is the touching point of the last step, `stretch` (m) goes from it to the surface point and is 0 out of
+    contact, `face` is the face that holds it: an integer, kept as a float so that a state has numbers of one type.
+    """
+
+    query: Float[Array, "*n 3"]
+    stretch: Float[Array, "*n 3"]
+    face: Float[Array, "*n"]
 
 
 class Shape(eqx.Module):
-    """A shape in its own frame. Its numbers are leaves, so that they can be differentiated and fitted.
+    """A shape in its own frame. Its numbers are leaves, so that they can be differentiated and fitted."""
 
-    `faces` names the faces that can have a mu of their own, in the order in which a list of mu is given.
-    """
-
-    faces: ClassVar[tuple[str, ...]]
+    @property
+    @abstractmethod
+    def faces(self) -> tuple[str, ...]:
+        """Names of the faces that can have a mu of their own, in the order in which a list of mu is given."""
 
     @abstractmethod
     def closest(self, query: Float[Array, "3"]) -> SurfacePoint:
         """Closest surface point to `query` (m, in the shape's frame), inside and outside."""
 
     @abstractmethod
-    def inertia_per_mass(self) -> Float[Array, "3"] | None:
-        """Principal inertia of the uniform solid about its centre over its mass, m^2. None: it has no volume."""
+    def inertia_per_mass(self) -> Float[Array, "3"] | Float[Array, "3 3"] | None:
+        """Inertia of the uniform solid about its centre of mass over its mass, m^2. None: it has no volume."""
+
+    def start(self, query: Float[Array, "3"]) -> Track | None:
+        """What is remembered of a point that has just appeared at `query`. A smooth shape remembers nothing."""
+        return None
+
+    def follow(self, track: Track | None, query: Float[Array, "3"]) -> tuple[Track | None, SurfacePoint]:
+        """The surface point that holds a touching point, which moved straight from `track.query` to `query`.
+
+        In contact while its depth is above 0. On a smooth shape it is the closest point. Where faces meet at edges it
+        depends on the way: a point stays with the face through which it came in until that face ends.
+        """
+        return None, self.closest(query)
+
+
+def begin(near: SurfacePoint, query: Float[Array, "3"]) -> Track:
+    """The track of a point that has just appeared at `query`, with the closest surface point `near`."""
+    stretch = jnp.where(near.depth > 0, near.depth * near.normal, 0)
+    return Track(query, stretch, near.face.astype(query.dtype))
+
+
+def ease(track: Track, query: Float[Array, "3"], near: SurfacePoint) -> tuple[Track, SurfacePoint]:
+    """Go to the surface point `near` without a jump of the force.
+
+    Within one face the stretch (query to surface point) never changes by more than the query moves. Where a face ends,
+    at a convex edge, it would jump to that of the next face, or to 0 where there is none. So its change is limited to
+    the way that the query has moved: the edge feels rounded, by as much as the point is deep.
+    """
+    target = jnp.where(near.depth > 0, near.depth * near.normal, 0)
+    change = target - track.stretch
+    size = safe.norm(change)
+    eps = 8 * jnp.finfo(query.dtype).eps * (jnp.max(jnp.abs(query)) + jnp.max(jnp.abs(track.query)))
+    way = safe.norm(query - track.query) + eps
+    late = size > way
+    stretch = jnp.where(late, track.stretch + change * safe.divide(way, size), target)
+    depth = safe.norm(stretch)
+    point = SurfacePoint(
+        jnp.where(late, query + stretch, near.point),
+        jnp.where(late, safe.normalise(stretch), near.normal),
+        jnp.where(late, depth, near.depth),
+        near.face,
+        near.corner,
+    )
+    return Track(query, stretch, near.face.astype(query.dtype)), point

@@ -1,15 +1,15 @@
 """The cuboid."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .. import safe
 from .._validate import as_float, check_positive
-from ._shape import Shape, SurfacePoint
+from ._shape import Shape, SurfacePoint, Track, begin, ease
 
 # One row a vertex, in units of half the edge length.
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -47,6 +47,23 @@ class Box(Shape):
         depth = jnp.where(inside, jnp.min(margin), -safe.norm(outward))
         return SurfacePoint(query + depth * normal, normal, depth, face)
 
+    def start(self, query: Float[Array, "3"]) -> Track:
+        """A point that appears inside is held by the nearest face."""
+        return begin(self.closest(query), query)
+
+    def follow(self, track: Track, query: Float[Array, "3"]) -> tuple[Track, SurfacePoint]:
+        """The face through which the point came in, until the point is beside it; see `Shape.follow`."""
+        half = self.size / 2
+        old = track.face.astype(jnp.int32)
+        face = jnp.where(jnp.any(track.stretch != 0), old, _entered(half, track.query, query))
+        normal = _normal(face, query.dtype)
+        depth = jnp.sum(half * jnp.abs(normal)) - jnp.sum(query * normal)
+        beside = jnp.any((normal == 0) & (jnp.abs(query) > half))
+        held = (face >= 0) & ~beside
+        face = jnp.where(face >= 0, face, old)
+        near = SurfacePoint(query + depth * normal, normal, jnp.where(held, depth, 0), face)
+        return ease(track, query, near)
+
     def vertices(self) -> Float[Array, "8 3"]:
         """The eight corners, m, in the box's frame."""
         return jnp.asarray(_CORNERS, self.size.dtype) * (self.size / 2)[None, :]
@@ -55,3 +72,26 @@ class Box(Shape):
         """Solid cuboid: (b^2 + c^2) / 12 about the axis along edge a."""
         square = self.size**2
         return (jnp.sum(square) - square) / 12
+
+
+def _normal(face: Int[Array, ""], dtype: Any) -> Float[Array, "3"]:
+    sign = jnp.where(face % 2 == 0, 1, -1)
+    return jnp.where(jnp.arange(3, dtype=jnp.int32) == face // 2, sign, 0).astype(dtype)
+
+
+def _entered(half: Float[Array, "3"], start: Float[Array, "3"], end: Float[Array, "3"]) -> Int[Array, ""]:
+    """The face through which the straight way from `start` to `end` enters the box last, or -1 where it does not."""
+    sign = jnp.where(start < 0, -1, 1).astype(start.dtype)
+    outside = sign * start - half  # how far beyond the nearer face of each axis
+    inward = sign * (start - end)
+    ahead = (outside >= 0) & (inward > outside)
+    when = jnp.where(ahead, outside / jnp.where(ahead, inward, 1), -1)
+    when = jnp.where(jnp.all(outside < 0), outside, when)  # it starts inside: the nearest face
+    axis = jnp.argmax(when)
+    there = start + jnp.maximum(when[axis], 0) * (end - start)
+    # Rounding must not let a way through that ends inside, nor one that meets an edge.
+    between = (outside < 0) & ((jnp.abs(there) <= half) | (jnp.abs(end) <= half))
+    hit = jnp.all(ahead | between)
+    negative = jnp.any((jnp.arange(3) == axis) & (sign < 0))
+    face = 2 * axis.astype(jnp.int32) + negative.astype(jnp.int32)
+    return jnp.where(hit, face, -1)
