@@ -3,7 +3,7 @@
 from .body import Body as Body
 from .contact import Contact as Contact
 from .errors import InputError as InputError
-from .grasp import GravityDrop as GravityDrop
+from .integrate import PivotForm as PivotForm
 from .integrate import SemiImplicit as SemiImplicit
 from .integrate import SemiImplicitMatrix as SemiImplicitMatrix
 from .packed import PackedStep as PackedStep
@@ -25,3 +25,6 @@ from .simulate import init as init
 from .simulate import rollout as rollout
 from .simulate import step as step
 from .surface import Surface as Surface
+from .torsion import Gimbal as Gimbal
+from .torsion import GravityDrop as GravityDrop
+from .torsion import SoftFinger as SoftFinger

@@ -15,10 +15,10 @@ from ._validate import as_float, check_not_negative, check_number, flag, is_trac
 from .body import Body
 from .contact import Contact, is_plane
 from .errors import InputError, within
-from .grasp import GravityDrop
 from .integrate import Integrator, SemiImplicit
 from .shape import Shape
 from .surface import Surface
+from .torsion import Torsion
 
 
 class Object(eqx.Module):
@@ -91,7 +91,7 @@ class Scene(eqx.Module):
 
     - `object`: each object by its name.
     - `contact`: each pair that can collide, by a name of its own; pairs not named pass through each other.
-    - `torsion`: how a two-finger grasp resists turning about its line. `None`: not at all.
+    - `torsion`: how a grasp resists turning, about the line of two fingers or about each finger. `None`: not at all.
     - `world`: gravity and the like.
     - `integrator`: how moving objects advance, and the time step.
 
@@ -102,7 +102,7 @@ class Scene(eqx.Module):
 
     object: dict[str, Object] = eqx.field(converter=_ordered)
     contact: dict[str, Contact] = eqx.field(converter=_ordered, default_factory=dict)
-    torsion: GravityDrop | None = None
+    torsion: Torsion | None = None
     world: World = eqx.field(default_factory=World)
     integrator: Integrator = eqx.field(default_factory=SemiImplicit)
 

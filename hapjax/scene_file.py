@@ -15,13 +15,12 @@ from .body import Body
 from .contact import Contact
 from .errors import InputError, within
 from .files import replacing
-from .grasp import GravityDrop
 from .integrate import METHODS
 from .scene import Object, Scene, World
 from .shape import SHAPES
 from .surface import Surface
+from .torsion import MODELS
 
-_TORSIONS: dict[str, type] = {"gravity_drop": GravityDrop}
 _PLACE = ("position", "orientation")
 _LARGEST = 16 * 2**20  # bytes; a scene file is written by hand
 
@@ -53,7 +52,7 @@ def scene_from_dict(table: Mapping[str, Any]) -> Scene:
         },
     }
     if "torsion" in table:
-        parts["torsion"] = _chosen(_TORSIONS, "model", None, table["torsion"], "torsion.")
+        parts["torsion"] = _chosen(MODELS, "model", None, table["torsion"], "torsion.")
     if "world" in table:
         parts["world"] = _build(World, table["world"], "world.")
     if "integrator" in table:
@@ -67,7 +66,7 @@ def scene_to_dict(scene: Scene) -> dict[str, Any]:
     if scene.contact:
         table["contact"] = {name: _fields(pair) for name, pair in scene.contact.items()}
     if scene.torsion is not None:
-        table["torsion"] = {"model": _name_of(_TORSIONS, scene.torsion), **_fields(scene.torsion)}
+        table["torsion"] = {"model": _name_of(MODELS, scene.torsion), **_fields(scene.torsion)}
     table["world"] = _fields(scene.world)
     table["integrator"] = {"method": _name_of(METHODS, scene.integrator), **_fields(scene.integrator)}
     return table

@@ -1,5 +1,6 @@
 """init, step, rollout: a scene felt by fingers."""
 
+import dataclasses
 from collections import OrderedDict
 from typing import Any
 
@@ -10,12 +11,13 @@ from jaxtyping import Array, Float
 
 from . import body as rigid
 from . import contact as pairs
-from . import god_object, grasp, rotation
+from . import god_object, grasp, rotation, safe
 from .body import Motion, Wrench
 from .contact import Placed
 from .errors import InputError
 from .god_object import GodObject, Touch
 from .scene import Scene, dtype_of
+from .torsion import Grip, Held, Torsion, Twist
 
 
 class State(eqx.Module):
@@ -23,13 +25,17 @@ class State(eqx.Module):
 
     `hip` (F, 3) m, world frame, is that of the last step, kept only where a velocity or substeps need it; `motion` of
     each moving object, `finger` the god-objects of all fingers on each touchable object (in its frame), `contact` those
-    of each contact's points (in the plane's frame), all by name.
+    of each contact's points (in the plane's frame), all by name. Of torsion: `god_angle` (F,) rad, the twist of the
+    fingers on each object that turns, under a model that remembers it; `gimbal` (F,) rad, that of the last step, under
+    a model that reads gimbals.
     """
 
     hip: Float[Array, "F 3"] | None
     motion: dict[str, Motion]
     finger: dict[str, GodObject]
     contact: dict[str, GodObject]
+    god_angle: dict[str, Float[Array, "F"]] = eqx.field(default_factory=OrderedDict)
+    gimbal: Float[Array, "F"] | None = None
 
 
 class Reply(eqx.Module):
@@ -46,12 +52,16 @@ class Reply(eqx.Module):
     contact: dict[str, Touch]
 
 
-def init(scene: Scene, hip: Float[Any, "F 3"]) -> State:
+def init(scene: Scene, hip: Float[Any, "F 3"], gimbal: Float[Any, "F"] | None = None) -> State:
     """The state before the first step: objects at rest where the scene puts them, fingers at `hip` (F, 3) m, world.
 
-    **Raises:** `InputError` where `hip` is not (F, 3) or its numbers are of another type than the scene's.
+    **Arguments:** `gimbal` (F,) rad, the angles of the fingers' gimbals, where the scene's torsion is a `Gimbal`.
+
+    **Raises:** `InputError` where `hip` is not (F, 3) or its numbers are of another type than the scene's, and where
+    `gimbal` is missing, not (F,), or given to a scene that does not read it.
     """
     hip = _as_hip(scene, hip)
+    gimbal = _as_gimbal(scene, gimbal, hip)
     placed = {name: _placed(scene, {}, name) for name in scene.object}
     motion = OrderedDict((name, _at_rest(scene, name)) for name in scene.moving())
     finger = OrderedDict()
@@ -61,23 +71,37 @@ def init(scene: Scene, hip: Float[Any, "F 3"]) -> State:
         (name, pairs.start(pair, *_mover_and_plane(scene, name, placed)[1:]))
         for name, pair in scene.contact.items()
     )
-    return State(hip if _needs_hip(scene) else None, motion, finger, contact)
+    angles = OrderedDict()
+    for name in motion:
+        if name in finger and _resists(scene, motion[name], hip):
+            angles[name] = _torsion(scene).start(hip)
+    angles = OrderedDict((name, angle) for name, angle in angles.items() if angle is not None)
+    return State(hip if _needs_hip(scene) else None, motion, finger, contact, angles, gimbal)
 
 
 @jax.jit
-def step(scene: Scene, state: State, hip: Float[Any, "F 3"], dt: Any = None) -> tuple[State, Reply]:
+def step(
+    scene: Scene,
+    state: State,
+    hip: Float[Any, "F 3"],
+    dt: Any = None,
+    gimbal: Float[Any, "F"] | None = None,
+) -> tuple[State, Reply]:
     """Advance a scene by `dt` seconds with the fingers at `hip` (F, 3) m, world frame.
 
     The forces are those of the objects where they were against the fingers where they are now; then the objects move.
     With substeps the fingers travel straight from where they were, and the reply is the last substep's.
 
-    **Arguments:** `dt` in s, above 0; `None`: the scene's integrator's.
+    **Arguments:** `dt` in s, above 0; `None`: the scene's integrator's. `gimbal` (F,) rad as for `init`.
     """
     hip = _as_hip(scene, hip)
+    gimbal = _as_gimbal(scene, gimbal, hip)
     dt = scene.integrator.dt if dt is None else jnp.asarray(dt, hip.dtype)
+    turning = None if gimbal is None else (gimbal - state.gimbal) / dt
+    state = dataclasses.replace(state, gimbal=gimbal)
     count = scene.integrator.substeps
     if count == 1:
-        return _substep(scene, state, hip, dt)
+        return _substep(scene, state, hip, turning, dt)
     if state.hip is None:
         raise InputError(
             "the state was made for a scene without substeps; allowed: a state from init of this scene"
@@ -85,21 +109,39 @@ def step(scene: Scene, state: State, hip: Float[Any, "F 3"], dt: Any = None) -> 
     start, short = state.hip, dt / count
 
     def body(carry: State, fraction: Float[Array, ""]):
-        return _substep(scene, carry, start + fraction * (hip - start), short)
+        return _substep(scene, carry, start + fraction * (hip - start), turning, short)
 
     state, replies = jax.lax.scan(body, state, jnp.arange(1, count + 1, dtype=hip.dtype) / count)
     return state, jax.tree.map(lambda x: x[-1], replies)
 
 
 @jax.jit
-def rollout(scene: Scene, state: State, hips: Float[Any, "T F 3"], dt: Any = None) -> tuple[State, Reply]:
-    """`step` for each of `hips` (T, F, 3) m; returns the last state and every reply, stacked along a first axis T."""
+def rollout(
+    scene: Scene,
+    state: State,
+    hips: Float[Any, "T F 3"],
+    dt: Any = None,
+    gimbals: Float[Any, "T F"] | None = None,
+) -> tuple[State, Reply]:
+    """`step` for each of `hips` (T, F, 3) m; returns the last state and every reply, stacked along a first axis T.
+
+    **Arguments:** `gimbals` (T, F) rad, where the scene's torsion is a `Gimbal`.
+    """
     hips = jnp.asarray(hips)
-    return jax.lax.scan(lambda carry, hip: step(scene, carry, hip, dt), state, hips)
+    gimbals = None if gimbals is None else jnp.asarray(gimbals)
+    if gimbals is not None and gimbals.shape != hips.shape[:2]:
+        raise InputError(
+            f"gimbals has the shape {gimbals.shape}; allowed: {hips.shape[:2]}, an angle for each of hips"
+        )
+    return jax.lax.scan(lambda carry, x: step(scene, carry, x[0], dt, x[1]), state, (hips, gimbals))
 
 
 def _substep(
-    scene: Scene, state: State, hip: Float[Array, "F 3"], dt: Float[Array, ""]
+    scene: Scene,
+    state: State,
+    hip: Float[Array, "F 3"],
+    turning: Float[Array, "F"] | None,
+    dt: Float[Array, ""],
 ) -> tuple[State, Reply]:
     velocity = None if state.hip is None else (hip - state.hip) / dt
     placed = {name: _placed(scene, state.motion, name) for name in scene.object}
@@ -109,15 +151,20 @@ def _substep(
     contacts: dict[str, GodObject] = OrderedDict()
     collisions: dict[str, Touch] = OrderedDict()
     wrenches: dict[str, Wrench] = {}
-    twists: dict[str, grasp.Twist | None] = {}
+    holds: dict[str, Held] = {}
+    pivots: dict[str, Array] = {}
 
     for name in scene.touchable():
         fingers[name], touches[name], on_finger = _feel(scene, state, placed[name], name, hip, velocity, dt)
         force = force + on_finger
         if name in state.motion:
-            wrenches[name], twists[name] = _grasp(
-                scene, state, placed[name], name, hip, on_finger, fingers[name], touches[name]
+            gods, touch = fingers[name], touches[name]
+            wrenches[name], holds[name] = _grasp(
+                scene, state, placed[name], name, hip, on_finger, gods, touch, turning, dt
             )
+            if scene.integrator.needs_pivot:
+                points, centre = placed[name].to_world(gods.point), _centre(scene, placed[name], name)
+                pivots[name] = grasp.pivot(points, gods.depth > 0, centre)
     for name in scene.contact:
         moving, contacts[name], collisions[name], wrench = _collide(scene, state, placed, name, dt)
         wrenches[moving] = jax.tree.map(jnp.add, wrenches[moving], wrench) if moving in wrenches else wrench
@@ -125,9 +172,11 @@ def _substep(
     motion = OrderedDict()
     for name in state.motion:
         wrench = wrenches.get(name, Wrench(jnp.zeros_like(hip[0]), jnp.zeros_like(hip[0])))
-        motion[name] = _move(scene, state.motion[name], name, wrench, twists.get(name), dt)
+        twist = holds[name].twist if name in holds else None
+        motion[name] = _move(scene, state.motion[name], name, wrench, twist, dt, pivots.get(name))
     pose = [jnp.concatenate([m.position, m.orientation]) for m in motion.values()]
-    after = State(None if state.hip is None else hip, motion, fingers, contacts)
+    angles = OrderedDict((name, held.angle) for name, held in holds.items() if held.angle is not None)
+    after = State(None if state.hip is None else hip, motion, fingers, contacts, angles, state.gimbal)
     return after, Reply(force, jnp.stack(pose) if pose else jnp.zeros((0, 7), hip.dtype), touches, collisions)
 
 
@@ -151,17 +200,25 @@ def _feel(scene, state, placed: Placed, name: str, hip, velocity, dt):
     return gods, touch, rotation.turn(placed.matrix, touch.force)
 
 
-def _grasp(scene, state, placed: Placed, name: str, hip, on_finger, gods: GodObject, touch: Touch):
-    """Wrench of all fingers on a moving object, and the twist axis of a two-finger grasp."""
+def _grasp(
+    scene, state, placed: Placed, name: str, hip, on_finger, gods: GodObject, touch: Touch, turning, dt
+) -> tuple[Wrench, Held]:
+    """Wrench of all fingers on a moving object, and what torsion made of it."""
     wrench = grasp.residual(-on_finger, hip - _centre(scene, placed, name)[None])
-    spin, twist = state.motion[name].spin, None
-    if scene.torsion is not None and spin is not None and hip.shape[0] > 1:
-        line = rotation.turn(placed.matrix, gods.point)
-        twist = grasp.twist_of(scene.torsion, line, touch.circle, gods.depth > 0)
-        wrench = Wrench(wrench.force, grasp.resist(scene.torsion, twist, wrench.torque, spin))
-    if scene.world.dead_band is not None and spin is not None:
-        wrench = Wrench(wrench.force, grasp.dead_band(wrench.torque, scene.world.dead_band))
-    return wrench, twist
+    motion, held = state.motion[name], Held(wrench.torque)
+    if _resists(scene, motion, hip):
+        grip = Grip(
+            rotation.turn(placed.matrix, gods.point),
+            rotation.turn(placed.matrix, safe.normalise(touch.force - touch.friction_force)),
+            touch.normal_force,
+            touch.circle,
+            gods.depth > 0,
+        )
+        angle = state.god_angle.get(name)
+        held = _torsion(scene).hold(grip, angle, wrench.torque, motion.spin, turning, dt)
+    if scene.world.dead_band is not None and motion.spin is not None:
+        held = dataclasses.replace(held, torque=grasp.dead_band(held.torque, scene.world.dead_band))
+    return Wrench(wrench.force, held.torque), held
 
 
 def _collide(scene, state, placed, name: str, dt):
@@ -177,12 +234,23 @@ def _collide(scene, state, placed, name: str, dt):
     return moving, gods, touch, grasp.residual(forces, arms)
 
 
-def _move(scene, motion: Motion, name: str, wrench: Wrench, twist, dt) -> Motion:
+def _resists(scene: Scene, motion: Motion, hip: Float[Array, "F 3"]) -> bool:
+    """Whether torsion acts on an object under these fingers."""
+    torsion = scene.torsion
+    return torsion is not None and motion.spin is not None and hip.shape[0] >= torsion.least_fingers
+
+
+def _torsion(scene: Scene) -> Torsion:
+    assert scene.torsion is not None
+    return scene.torsion
+
+
+def _move(scene, motion: Motion, name: str, wrench: Wrench, twist: Twist | None, dt, pivot) -> Motion:
     thing = scene.object[name]
     if scene.world.gravity is not None:
         wrench = Wrench(wrench.force + thing.body.mass * scene.world.gravity, wrench.torque)
     return scene.integrator.advance(
-        thing.body, thing.shape, motion, wrench, scene.world.gyroscopic, twist, dt
+        thing.body, thing.shape, motion, wrench, scene.world.gyroscopic, twist, dt, pivot
     )
 
 
@@ -238,3 +306,21 @@ def _as_hip(scene: Scene, hip: Any) -> Float[Array, "F 3"]:
             f"hip is {hip.dtype} but the scene is {dtype}; allowed: one type for both (see hapjax.cast)"
         )
     return hip
+
+
+def _as_gimbal(scene: Scene, gimbal: Any, hip: Float[Array, "F 3"]) -> Float[Array, "F"] | None:
+    needed = scene.torsion is not None and scene.torsion.needs_gimbal
+    if gimbal is None and not needed:
+        return None
+    if not needed:
+        raise InputError("gimbal is given, but the scene's torsion reads none; allowed: no gimbal")
+    if gimbal is None:
+        raise InputError(
+            "gimbal is missing; allowed: an angle in rad for each finger, for a scene whose torsion is a gimbal"
+        )
+    gimbal = jnp.asarray(gimbal, hip.dtype)
+    if gimbal.shape != hip.shape[:1]:
+        raise InputError(
+            f"gimbal has the shape {tuple(gimbal.shape)}; allowed: {hip.shape[:1]}, an angle for each finger"
+        )
+    return gimbal

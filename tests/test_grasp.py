@@ -8,6 +8,7 @@ import pytest
 
 import hapjax
 from hapjax import grasp
+from hapjax.torsion import Grip, lock
 from helpers import G, at_rest, matrix, moving, quaternion
 
 K, MU, MASS, EDGE = 800.0, 0.9, 0.1, 0.06
@@ -93,6 +94,13 @@ def area(depth, mu=MU):
     return np.pi * (mu * depth) ** 2
 
 
+def grip_of(gods, radii, touching, normals=None, forces=None):
+    """A grip of three fingers; the gravity drop reads neither normals nor forces."""
+    normals = np.zeros_like(gods) if normals is None else normals
+    forces = np.zeros_like(radii) if forces is None else forces
+    return Grip(*map(jnp.asarray, (gods, normals, forces, radii, np.array(touching))))
+
+
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.7, 1.0, 1.4])
 def test_torque_about_the_line_is_scaled_by_what_the_area_leaves(share, dtype):
     radii = np.array([1.0e-3, 3.0e-3], dtype)
@@ -100,24 +108,32 @@ def test_torque_about_the_line_is_scaled_by_what_the_area_leaves(share, dtype):
     torsion = hapjax.GravityDrop(np.asarray(mean / share if share else 1e3, dtype), np.asarray(2e-4, dtype))
     gods = np.array([[0.03, 0.01, 0], [0.5, 0.5, 0.5], [-0.03, 0, 0.02]], dtype)
     radii = np.array([radii[0], 0, radii[1]], dtype)
-    twist = grasp.twist_of(torsion, jnp.asarray(gods), jnp.asarray(radii), jnp.array([True, False, True]))
+    torque, spin = np.array([0.3, -0.2, 0.5], dtype), np.array([1, 2, 3], dtype)
+    held = torsion.hold(
+        grip_of(gods, radii, [True, False, True]),
+        None,
+        jnp.asarray(torque),
+        jnp.asarray(spin),
+        None,
+        jnp.asarray(1e-3, dtype),
+    )
+    assert held.twist is not None and held.angle is None
+    twist, left = held.twist, np.asarray(held.torque)
     line = (gods[2] - gods[0]) / np.linalg.norm(gods[2] - gods[0])
     assert np.abs(np.asarray(twist.axis) @ line) == pytest.approx(1, rel=1e-6)
     assert twist.free == pytest.approx(max(0, 1 - share), abs=1e-6)
-    torque, spin = np.array([0.3, -0.2, 0.5], dtype), np.array([1, 2, 3], dtype)
-    left = np.asarray(grasp.resist(torsion, twist, jnp.asarray(torque), jnp.asarray(spin)))
     assert left.dtype == dtype
     across = torque - (torque @ line) * line
     assert left - (left @ line) * line == pytest.approx(across, abs=1e-6)
     assert left @ line == pytest.approx(max(0, 1 - share) * (torque @ line) - 2e-4 * (spin @ line), abs=1e-6)
-    still = np.asarray(grasp.lock(twist, jnp.asarray(spin)))
+    still = np.asarray(lock(twist, jnp.asarray(spin)))
     assert still @ line == pytest.approx(0 if share >= 1 else spin @ line, abs=1e-6)
 
 
 @pytest.mark.parametrize("touching", [[True, False, False], [True, True, True], [False] * 3])
 def test_only_two_fingers_have_a_line(touching):
-    gods, radii = jnp.arange(9.0).reshape(3, 3) ** 2, jnp.full(3, 1.0)
-    twist = grasp.twist_of(hapjax.GravityDrop(1e-5), gods, radii, jnp.array(touching))
+    gods, radii = np.arange(9.0).reshape(3, 3) ** 2, np.full(3, 1.0)
+    twist = hapjax.GravityDrop(1e-5).twist_of(grip_of(gods, radii, touching), None)
     assert np.array_equal(twist.axis, np.zeros(3)) and twist.free == 1
 
 

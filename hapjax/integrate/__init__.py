@@ -1,10 +1,12 @@
 """Integrators, chosen by their type in a Scene and by `method` in a scene file."""
 
 from ._integrator import Integrator as Integrator
+from .pivot import PivotForm as PivotForm
 from .semi_implicit import SemiImplicit as SemiImplicit
 from .semi_implicit import SemiImplicitMatrix as SemiImplicitMatrix
 
 METHODS: dict[str, type[Integrator]] = {
     "semi_implicit": SemiImplicit,
     "semi_implicit_matrix": SemiImplicitMatrix,
+    "pivot": PivotForm,
 }

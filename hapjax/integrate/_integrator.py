@@ -1,14 +1,15 @@
 """What a Scene asks of an integrator."""
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
 from .._validate import as_float, check_number, check_positive, count
 from ..body import Body, Motion, Wrench
-from ..grasp import Twist
 from ..shape import Shape
+from ..torsion import Twist
 
 
 class Integrator(eqx.Module):
@@ -16,7 +17,11 @@ class Integrator(eqx.Module):
 
     **Arguments:** `dt`, the time step that `step` uses unless it is given another, in s, above 0 and at most 1;
     `substeps`, into how many a step is cut, 1 to 10,000.
+
+    `needs_pivot`: `advance` is to be given a pivot.
     """
+
+    needs_pivot: ClassVar[bool] = False
 
     dt: Float[Array, ""] = eqx.field(converter=as_float, default=1e-3)
     substeps: int = eqx.field(static=True, converter=count("substeps", 10_000), default=1)
@@ -35,5 +40,9 @@ class Integrator(eqx.Module):
         gyroscopic: bool,
         twist: Twist | None,
         dt: Float[Array, ""],
+        pivot: Float[Array, "3"] | None = None,
     ) -> Motion:
-        """The motion after `dt` s under a wrench about the centre of mass; a locked `twist` axis keeps no spin."""
+        """The motion after `dt` s under a wrench about the centre of mass; a locked `twist` axis keeps no spin of its own.
+
+        **Arguments:** `pivot` (m, world frame), a point near the contacts, for an integrator that `needs_pivot`.
+        """

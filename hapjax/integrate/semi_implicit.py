@@ -4,10 +4,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .. import body as rigid
-from .. import grasp, rotation
+from .. import rotation
 from ..body import Body, Motion, Wrench
-from ..grasp import Twist
 from ..shape import Shape
+from ..torsion import Twist, lock
 from ._integrator import Integrator
 
 
@@ -23,6 +23,7 @@ class SemiImplicit(Integrator):
         gyroscopic: bool,
         twist: Twist | None,
         dt: Float[Array, ""],
+        pivot: Float[Array, "3"] | None = None,
     ) -> Motion:
         """One step; see `Integrator.advance`."""
         velocity = motion.velocity + dt * wrench.force / body.mass
@@ -34,7 +35,7 @@ class SemiImplicit(Integrator):
             inertia, matrix, motion.spin, wrench.torque, gyroscopic
         )
         if twist is not None:
-            spin = grasp.lock(twist, spin)
+            spin = lock(twist, spin)
         orientation = rotation.normalise(self.turn(motion.orientation, spin, dt))
         position = motion.position + dt * velocity
         if body.centre is not None:  # it is the centre of mass that moves straight on
