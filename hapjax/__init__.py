@@ -3,6 +3,12 @@
 from .body import Body as Body
 from .contact import Contact as Contact
 from .errors import InputError as InputError
+from .friction import Cone as Cone
+from .friction import Dahl as Dahl
+from .friction import Karnopp as Karnopp
+from .friction import LuGre as LuGre
+from .friction import Stribeck as Stribeck
+from .friction import Viscous as Viscous
 from .integrate import PivotForm as PivotForm
 from .integrate import SemiImplicit as SemiImplicit
 from .integrate import SemiImplicitMatrix as SemiImplicitMatrix

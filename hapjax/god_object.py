@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .friction import Press
 from .shape import Shape, SurfacePoint, Track
 from .surface import Surface
 
@@ -65,6 +64,19 @@ def touch(
     the step `dt` (s); the latter two are only read where the surface `needs_velocity`.
     """
     track, near = shape.follow(god.track, point)
+    return answer(surface, god, track, near, point, velocity, dt)
+
+
+def answer(
+    surface: Surface,
+    god: GodObject,
+    track: Track | None,
+    near: SurfacePoint,
+    point: Float[Array, "3"],
+    velocity: Float[Array, "3"] | None,
+    dt: Float[Array, ""] | None,
+) -> tuple[GodObject, Touch]:
+    """`touch` of a point whose surface point `near` is known."""
     offset = jnp.where(god.depth > 0, god.point - near.point, 0)
     rounding = 8 * jnp.finfo(point.dtype).eps * (jnp.max(jnp.abs(point)) + jnp.max(jnp.abs(god.point)))
     offset, sliding, result = press(surface, near, offset, god.sliding, velocity, dt, rounding)
@@ -91,30 +103,20 @@ def press(
     in_contact = near.depth > 0
     depth = jnp.where(in_contact, near.depth, 0)
     normal = near.normal
-    stiffness = surface.stiffness if surface.tangential_stiffness is None else surface.tangential_stiffness
     normal_force = surface.stiffness * depth
-    slip = viscous = None
+    travel = viscous = None
     if velocity is not None:
         deepening = -jnp.sum(normal * velocity)
         slip = velocity + deepening * normal
         if surface.damping is not None:
             viscous = -surface.damping * normal_force * slip
             normal_force = normal_force * jnp.maximum(1 + surface.damping * deepening, 0)
+        if surface.law().needs_travel:
+            assert dt is not None
+            travel = slip * dt
 
-    law = surface.law().hold(
-        Press(
-            offset - jnp.sum(offset * normal) * normal,
-            stiffness,
-            normal_force,
-            viscous,
-            slip,
-            sliding,
-            rounding,
-            dt,
-            lambda pull: surface.static_at(near, pull),
-            None if surface.mu_kinetic is None else lambda pull: surface.kinetic_at(near, pull),
-        )
-    )
+    offset = offset - jnp.sum(offset * normal) * normal
+    law = surface.hold(near, offset, normal_force, viscous, travel, sliding, rounding, dt)
     friction_force = jnp.where(in_contact, law.force, 0)
     force = normal_force * normal + friction_force
     circle = surface.static_at(near, friction_force) * depth

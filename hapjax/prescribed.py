@@ -11,7 +11,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .errors import InputError
-from .friction import Press
 from .shape import Plane
 from .surface import Surface
 
@@ -30,41 +29,29 @@ def drag(
     - `surface`: its mu, or mu_static and mu_kinetic, its stiffness, here the tangential one (N/m), its law.
     - `points`: m, in the plane's frame (normal +z); their heights are not read.
     - `loads`: the normal force on each point, N, 0 or above, the same at all times.
-    - `dt`: s between the times, for a surface with damping or a law that depends on velocity; the forces of others
-      depend on the path alone.
+    - `dt`: s between the times, for a surface with damping or a law that depends on velocity; the forces of others,
+      the cone and Dahl's law, depend on the path alone.
 
     **Raises:** `InputError` where such a surface is given without `dt`, or a list of mu that is not of one face.
     """
     surface.check_faces(Plane.faces)
-    if surface.needs_velocity() and dt is None:
+    law = surface.law()
+    if (surface.damping is not None or law.needs_dt) and dt is None:
         raise InputError(
-            "dt is missing; allowed: the time between points, for a surface that needs velocities"
+            "dt is missing; allowed: the time between points, for a surface whose friction depends on velocity"
         )
     clock = None if dt is None else jnp.asarray(dt, points.dtype)
     in_plane = jnp.array([1, 1, 0], points.dtype)
     near = Plane().closest(jnp.zeros_like(in_plane))
-    stiffness = surface.stiffness if surface.tangential_stiffness is None else surface.tangential_stiffness
-    law = surface.law()
 
     def one(god, sliding, point, load, before):
-        slip = viscous = None
+        travel = viscous = None
         if surface.needs_velocity():
-            slip = (point - before) * in_plane / clock
-            viscous = None if surface.damping is None else -surface.damping * load * slip
-        result = law.hold(
-            Press(
-                (god - point) * in_plane,
-                stiffness,
-                load,
-                viscous,
-                slip,
-                sliding,
-                8 * jnp.finfo(point.dtype).eps * (jnp.max(jnp.abs(point)) + jnp.max(jnp.abs(god))),
-                clock,
-                lambda pull: surface.static_at(near, pull),
-                None if surface.mu_kinetic is None else lambda pull: surface.kinetic_at(near, pull),
-            )
-        )
+            travel = (point - before) * in_plane
+            viscous = None if surface.damping is None else -surface.damping * load * travel / clock
+        rounding = 8 * jnp.finfo(point.dtype).eps * (jnp.max(jnp.abs(point)) + jnp.max(jnp.abs(god)))
+        offset = (god - point) * in_plane
+        result = surface.hold(near, offset, load, viscous, travel, sliding, rounding, clock)
         return point + result.offset, result.sliding, result.force
 
     def all_points(memory, now):

@@ -15,6 +15,7 @@ from .body import Body
 from .contact import Contact
 from .errors import InputError, within
 from .files import replacing
+from .friction import LAWS
 from .integrate import METHODS
 from .scene import Object, Scene, World
 from .shape import SHAPES
@@ -48,7 +49,7 @@ def scene_from_dict(table: Mapping[str, Any]) -> Scene:
     parts: dict[str, Any] = {
         "object": {name: _object(name, t) for name, t in _tables(table, "object").items()},
         "contact": {
-            name: _build(Contact, t, f"contact.{name}.") for name, t in _tables(table, "contact").items()
+            name: _surface(Contact, t, f"contact.{name}.") for name, t in _tables(table, "contact").items()
         },
     }
     if "torsion" in table:
@@ -64,7 +65,7 @@ def scene_to_dict(scene: Scene) -> dict[str, Any]:
     """The tables of the scene file that describes a scene."""
     table: dict[str, Any] = {"object": {name: _object_table(o) for name, o in scene.object.items()}}
     if scene.contact:
-        table["contact"] = {name: _fields(pair) for name, pair in scene.contact.items()}
+        table["contact"] = {name: _surface_table(pair) for name, pair in scene.contact.items()}
     if scene.torsion is not None:
         table["torsion"] = {"model": _name_of(MODELS, scene.torsion), **_fields(scene.torsion)}
     table["world"] = _fields(scene.world)
@@ -118,7 +119,7 @@ def _object(name: str, table: Any) -> Object:
     parts: dict[str, Any] = {key: table[key] for key in _PLACE if key in table}
     parts["shape"] = _build(shape_type, {key: table[key] for key in shape_fields if key in table}, prefix)
     if "surface" in table:
-        parts["surface"] = _build(Surface, table["surface"], f"{prefix}surface.")
+        parts["surface"] = _surface(Surface, table["surface"], f"{prefix}surface.")
     if "body" in table:
         parts["body"] = _build(Body, table["body"], f"{prefix}body.")
     with within(prefix):
@@ -128,9 +129,26 @@ def _object(name: str, table: Any) -> Object:
 def _object_table(thing: Object) -> dict[str, Any]:
     table = {"shape": _name_of(SHAPES, thing.shape), **_fields(thing.shape)}
     table |= {key: _plain(getattr(thing, key)) for key in _PLACE}
-    for key, part in (("surface", thing.surface), ("body", thing.body)):
-        if part is not None:
-            table[key] = _fields(part)
+    if thing.surface is not None:
+        table["surface"] = _surface_table(thing.surface)
+    if thing.body is not None:
+        table["body"] = _fields(thing.body)
+    return table
+
+
+def _surface(part: type[Surface], table: Any, prefix: str) -> Surface:
+    """A surface or a contact, whose friction law is named by a key of a table of its own."""
+    _check_table(table, prefix[:-1])
+    if "friction" in table:
+        law = _chosen(LAWS, "law", None, table["friction"], f"{prefix}friction.")
+        table = {**table, "friction": law}
+    return _build(part, table, prefix)
+
+
+def _surface_table(surface: Surface) -> dict[str, Any]:
+    table = _fields(surface)
+    if surface.friction is not None:
+        table["friction"] = {"law": _name_of(LAWS, surface.friction), **_fields(surface.friction)}
     return table
 
 

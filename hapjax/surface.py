@@ -10,8 +10,8 @@ from jaxtyping import Array, Float, Int
 
 from . import safe
 from ._validate import as_float, check_not_negative, check_number, check_positive, is_traced
-from .errors import InputError
-from .friction import Cone, Law
+from .errors import InputError, within
+from .friction import Cone, Friction, Law, Press
 from .shape import SurfacePoint
 
 
@@ -62,6 +62,8 @@ class Surface(eqx.Module):
         _check_order(self.mu_static, self.mu_kinetic)
         if self.friction is not None and not isinstance(self.friction, Law):
             raise InputError(f"friction is {self.friction!r}; allowed: a friction law")
+        with within("friction: "):
+            self.law().check(self.mu_kinetic is not None)
 
     def _check_grain(self) -> None:
         if (self.anisotropy is None) != (self.grain is None):
@@ -94,7 +96,35 @@ class Surface(eqx.Module):
 
     def needs_velocity(self) -> bool:
         """Whether a touch depends on how fast the point moves."""
-        return self.damping is not None or self.law().needs_slip
+        return self.damping is not None or self.law().needs_travel
+
+    def hold(
+        self,
+        near: SurfacePoint,
+        offset: Float[Array, "3"],
+        normal_force: Float[Array, ""],
+        viscous: Float[Array, "3"] | None,
+        travel: Float[Array, "3"] | None,
+        sliding: Float[Array, ""] | None,
+        rounding: Float[Array, ""],
+        dt: Float[Array, ""] | None,
+    ) -> Friction:
+        """What the friction law makes of a touch at a surface point; the arguments are those of `Press`."""
+        stiffness = self.stiffness if self.tangential_stiffness is None else self.tangential_stiffness
+        return self.law().hold(
+            Press(
+                offset,
+                stiffness,
+                normal_force,
+                viscous,
+                travel,
+                sliding,
+                rounding,
+                dt,
+                lambda direction: self.static_at(near, direction),
+                None if self.mu_kinetic is None else lambda direction: self.kinetic_at(near, direction),
+            )
+        )
 
     def static_at(self, near: SurfacePoint, direction: Float[Array, "3"]) -> Float[Array, ""]:
         """The mu of breaking away at a surface point, against a pull in a direction of its tangent plane."""

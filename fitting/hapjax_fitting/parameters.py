@@ -18,7 +18,7 @@ from .transform import Identity, Log, Logit, Transform
 Selector = str | Sequence[str] | Callable[[Scene], Any]
 
 # What can be below zero; every other number of a scene is a positive one and is fitted through its logarithm.
-_SIGNED = ("position", "orientation", "centre", "gravity")
+_SIGNED = ("position", "orientation", "centre", "gravity", "grain")
 # How the scene is computed, not what it is; the recordings are laid on the integrator's time grid once.
 _NOT_PHYSICAL = ("integrator",)
 

@@ -15,7 +15,7 @@ class Press(eqx.Module):
     - `stiffness` (N/m): of the tangential spring between the two.
     - `normal_force` (N), 0 or above.
     - `viscous` (N): the tangential force of the contact's own damping. `None`: none.
-    - `slip` (m/s): the point's tangential velocity against the surface. `None` where no part of the touch needs it.
+    - `travel` (m): the point's tangential way over the surface in this step. `None` where the law does not need it.
     - `sliding`: what the law remembered of the last step. `None`: nothing.
     - `rounding` (m): differences of positions up to this are errors of arithmetic.
     - `dt` (s): the step.
@@ -27,7 +27,7 @@ class Press(eqx.Module):
     stiffness: Float[Array, ""]
     normal_force: Float[Array, ""]
     viscous: Float[Array, "3"] | None
-    slip: Float[Array, "3"] | None
+    travel: Float[Array, "3"] | None
     sliding: Float[Array, ""] | None
     rounding: Float[Array, ""]
     dt: Float[Array, ""] | None
@@ -46,10 +46,11 @@ class Friction(eqx.Module):
 class Law(eqx.Module):
     """A friction law. Its numbers are leaves; mu and the stiffness are the surface's.
 
-    `needs_slip`: it reads `Press.slip` and `Press.dt`.
+    `needs_travel`: it reads `Press.travel`; `needs_dt`: it reads `Press.dt`.
     """
 
-    needs_slip: ClassVar[bool] = False
+    needs_travel: ClassVar[bool] = False
+    needs_dt: ClassVar[bool] = False
 
     @abstractmethod
     def remembers(self, has_kinetic: bool) -> bool:
@@ -58,3 +59,6 @@ class Law(eqx.Module):
     @abstractmethod
     def hold(self, press: Press) -> Friction:
         """The friction of one step."""
+
+    def check(self, has_kinetic: bool) -> None:  # noqa: B027  most laws take either kind of mu
+        """Refuse a surface whose mu the law cannot use, with an `InputError`."""
