@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ._validate import as_float, check_not_negative, check_number, flag, is_traced
 from .body import Body
-from .contact import Contact, is_plane
+from .contact import Contact, check_shapes
 from .errors import InputError, within
 from .integrate import Integrator, SemiImplicit
 from .shape import Shape
@@ -165,10 +165,7 @@ def _check_pair(pair: Contact, objects: Mapping[str, Object]) -> None:
         if getattr(pair, name) is not None:
             check_number(name, getattr(pair, name), "one number, since a contact has no faces")
     first, second = (objects[name] for name in pair.between)
-    planes = [o for o in (first, second) if is_plane(o.shape)]
-    if len(planes) != 1:
-        kinds = " and ".join(type(o.shape).__name__.lower() for o in (first, second))
-        raise InputError(f"between pairs a {kinds}; allowed: a box or sphere and a plane")
+    check_shapes(first.shape, second.shape)
     if first.body is None and second.body is None:
         raise InputError(
             f"between pairs {pair.between[0]} and {pair.between[1]}, both without a body; allowed: one that moves"

@@ -13,7 +13,7 @@ from . import body as rigid
 from . import contact as pairs
 from . import god_object, grasp, rotation, safe
 from .body import Motion, Wrench
-from .contact import Placed
+from .contact import Mover, Placed
 from .errors import InputError
 from .god_object import GodObject, Touch
 from .scene import Scene, dtype_of
@@ -25,15 +25,15 @@ class State(eqx.Module):
 
     `hip` (F, 3) m, world frame, is that of the last step, kept only where a velocity or substeps need it; `motion` of
     each moving object, `finger` the god-objects of all fingers on each touchable object (in its frame), `contact` those
-    of each contact's points (in the plane's frame), all by name. Of torsion: `god_angle` (F,) rad, the twist of the
-    fingers on each object that turns, under a model that remembers it; `gimbal` (F,) rad, that of the last step, under
-    a model that reads gimbals.
+    of each contact's points and crossing edges (in the frame of the object that they touch), all by name. Of torsion:
+    `god_angle` (F,) rad, the twist of the fingers on each object that turns, under a model that remembers it; `gimbal`
+    (F,) rad, that of the last step, under a model that reads gimbals.
     """
 
     hip: Float[Array, "F 3"] | None
     motion: dict[str, Motion]
     finger: dict[str, GodObject]
-    contact: dict[str, GodObject]
+    contact: dict[str, tuple[GodObject, ...]]
     god_angle: dict[str, Float[Array, "F"]] = eqx.field(default_factory=OrderedDict)
     gimbal: Float[Array, "F"] | None = None
 
@@ -52,7 +52,7 @@ class Reply(eqx.Module):
     contact: dict[str, Touch]
 
 
-def init(scene: Scene, hip: Float[Any, "F 3"], gimbal: Float[Any, "F"] | None = None) -> State:
+def init(scene: Scene, hip: Float[Any, "F 3"], gimbal: Float[Any, "..."] | None = None) -> State:
     """The state before the first step: objects at rest where the scene puts them, fingers at `hip` (F, 3) m, world.
 
     **Arguments:** `gimbal` (F,) rad, the angles of the fingers' gimbals, where the scene's torsion is a `Gimbal`.
@@ -68,7 +68,7 @@ def init(scene: Scene, hip: Float[Any, "F 3"], gimbal: Float[Any, "F"] | None = 
     for name in scene.touchable():
         finger[name] = god_object.start(placed[name].shape, _surface(scene, name), placed[name].to_local(hip))
     contact = OrderedDict(
-        (name, pairs.start(pair, *_mover_and_plane(scene, name, placed)[1:]))
+        (name, pairs.start(pair, *(_mover(scene, motion, placed, which) for which in pair.between)))
         for name, pair in scene.contact.items()
     )
     angles = OrderedDict()
@@ -85,7 +85,7 @@ def step(
     state: State,
     hip: Float[Any, "F 3"],
     dt: Any = None,
-    gimbal: Float[Any, "F"] | None = None,
+    gimbal: Float[Any, "..."] | None = None,
 ) -> tuple[State, Reply]:
     """Advance a scene by `dt` seconds with the fingers at `hip` (F, 3) m, world frame.
 
@@ -121,7 +121,7 @@ def rollout(
     state: State,
     hips: Float[Any, "T F 3"],
     dt: Any = None,
-    gimbals: Float[Any, "T F"] | None = None,
+    gimbals: Float[Any, "..."] | None = None,
 ) -> tuple[State, Reply]:
     """`step` for each of `hips` (T, F, 3) m; returns the last state and every reply, stacked along a first axis T.
 
@@ -148,7 +148,7 @@ def _substep(
     force = jnp.zeros_like(hip)
     fingers: dict[str, GodObject] = OrderedDict()
     touches: dict[str, Touch] = OrderedDict()
-    contacts: dict[str, GodObject] = OrderedDict()
+    contacts: dict[str, tuple[GodObject, ...]] = OrderedDict()
     collisions: dict[str, Touch] = OrderedDict()
     wrenches: dict[str, Wrench] = {}
     holds: dict[str, Held] = {}
@@ -166,8 +166,10 @@ def _substep(
                 points, centre = placed[name].to_world(gods.point), _centre(scene, placed[name], name)
                 pivots[name] = grasp.pivot(points, gods.depth > 0, centre)
     for name in scene.contact:
-        moving, contacts[name], collisions[name], wrench = _collide(scene, state, placed, name, dt)
-        wrenches[moving] = jax.tree.map(jnp.add, wrenches[moving], wrench) if moving in wrenches else wrench
+        contacts[name], collisions[name], pushes = _collide(scene, state, placed, name, dt)
+        for moving, wrench in pushes.items():
+            known = wrenches.get(moving)
+            wrenches[moving] = wrench if known is None else jax.tree.map(jnp.add, known, wrench)
 
     motion = OrderedDict()
     for name in state.motion:
@@ -213,6 +215,7 @@ def _grasp(
             touch.normal_force,
             touch.circle,
             gods.depth > 0,
+            state.finger[name].depth > 0,
         )
         angle = state.god_angle.get(name)
         held = _torsion(scene).hold(grip, angle, wrench.torque, motion.spin, turning, dt)
@@ -222,16 +225,11 @@ def _grasp(
 
 
 def _collide(scene, state, placed, name: str, dt):
-    """One contact: the moving object's name, the contact's god-objects and touches, the wrench on the object."""
-    moving, mover, plane = _mover_and_plane(scene, name, placed)
-    motion = state.motion[moving]
-    points = pairs.contact_points(mover, plane)
-    arms = points - _centre(scene, mover, moving)[None]
-    velocities = rigid.velocity_at(motion, arms)
-    gods, touch, forces = pairs.touch_plane(
-        scene.contact[name], state.contact[name], mover, plane, points, velocities, motion.spin, dt
-    )
-    return moving, gods, touch, grasp.residual(forces, arms)
+    """One contact: its god-objects and touches, and the wrench on each of its moving objects."""
+    pair = scene.contact[name]
+    first, second = (_mover(scene, state.motion, placed, which) for which in pair.between)
+    gods, touch, *wrenches = pairs.collide(pair, state.contact[name], first, second, dt)
+    return gods, touch, {w: x for w, x in zip(pair.between, wrenches, strict=True) if x is not None}
 
 
 def _resists(scene: Scene, motion: Motion, hip: Float[Array, "F 3"]) -> bool:
@@ -261,10 +259,10 @@ def _placed(scene: Scene, motion: dict[str, Motion], name: str) -> Placed:
     return Placed(thing.shape, thing.position, rotation.to_matrix(rotation.normalise(thing.orientation)))
 
 
-def _mover_and_plane(scene: Scene, name: str, placed: dict[str, Placed]) -> tuple[str, Placed, Placed]:
-    first, second = scene.contact[name].between
-    moving, fixed = (second, first) if pairs.is_plane(scene.object[first].shape) else (first, second)
-    return moving, placed[moving], placed[fixed]
+def _mover(scene: Scene, motion: dict[str, Motion], placed: dict[str, Placed], name: str) -> Mover:
+    if name not in motion:
+        return Mover(placed[name], None, None)
+    return Mover(placed[name], motion[name], _centre(scene, placed[name], name))
 
 
 def _centre(scene: Scene, placed: Placed, name: str) -> Float[Array, "3"]:

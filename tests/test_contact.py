@@ -179,7 +179,7 @@ def energies(scene, state, steps):
 
     def one(before, _):
         state, reply = hapjax.step(scene, before, away(1)[0])
-        motion, gods, corners = before.motion["it"], state.contact["pair"], reply.contact["pair"]
+        motion, (gods,), corners = before.motion["it"], state.contact["pair"], reply.contact["pair"]
         kinetic = 0.5 * mass * jnp.sum(motion.velocity**2) + 0.5 * inertia * jnp.sum(motion.spin**2)
         stretch = jnp.sum(gods.depth**2) + jnp.sum(corners.friction_force**2) / stiffness**2
         return state, kinetic + mass * G * motion.position[2] + 0.5 * stiffness * stretch

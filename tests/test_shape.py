@@ -88,5 +88,5 @@ def test_inertia_is_that_of_the_uniform_solid(name):
 
 
 def test_vertices_are_the_corners():
-    corners = {tuple(v) for v in np.round(np.asarray(SHAPES["box"].vertices()), 9)}
+    corners = {tuple(v) for v in np.round(np.asarray(SHAPES["box"].points()), 9)}
     assert corners == {(x, y, z) for x in (0.03, -0.03) for y in (0.05, -0.05) for z in (0.04, -0.04)}

@@ -1,11 +1,21 @@
 """Shapes: closest surface point, outward normal, depth and face of any query point."""
 
+from ._shape import Axis as Axis
 from ._shape import Corner as Corner
+from ._shape import Edges as Edges
 from ._shape import Shape as Shape
 from ._shape import SurfacePoint as SurfacePoint
 from ._shape import Track as Track
 from .box import Box as Box
+from .capsule import Capsule as Capsule
+from .cylinder import Cylinder as Cylinder
 from .plane import Plane as Plane
 from .sphere import Sphere as Sphere
 
-SHAPES: dict[str, type[Shape]] = {"plane": Plane, "sphere": Sphere, "box": Box}
+SHAPES: dict[str, type[Shape]] = {
+    "plane": Plane,
+    "sphere": Sphere,
+    "box": Box,
+    "cylinder": Cylinder,
+    "capsule": Capsule,
+}

@@ -1,10 +1,11 @@
 """What every shape can say of itself."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .. import safe
 
@@ -47,6 +48,22 @@ class Track(eqx.Module):
     face: Float[Array, "*n"]
 
 
+class Edges(eqx.Module):
+    """Sharp edges: where each begins and ends (m), and the outward normals of its two faces, in the shape's frame."""
+
+    start: Float[Array, "n 3"]
+    end: Float[Array, "n 3"]
+    normals: Float[Array, "n 2 3"]
+
+
+class Axis(eqx.Module):
+    """A segment (m, in the shape's frame) that stands for a round side: all points within `radius` of its inside."""
+
+    start: Float[Array, "3"]
+    end: Float[Array, "3"]
+    radius: Float[Array, ""]
+
+
 class Shape(eqx.Module):
     """A shape in its own frame. Its numbers are leaves, so that they can be differentiated and fitted."""
 
@@ -74,6 +91,42 @@ class Shape(eqx.Module):
         depends on the way: a point stays with the face through which it came in until that face ends.
         """
         return None, self.closest(query)
+
+    # What follows is how a shape touches other objects.
+
+    def points(self, facing: Callable[[Float[Array, "3"]], Float[Array, "3"]]) -> Float[Array, "P 3"] | None:
+        """The points (m) by which it can touch another object; `None`: it only is touched.
+
+        `facing(p)` is the other object's outward normal near a point p of this shape, all in this shape's frame.
+        """
+        return None
+
+    def rounding(self) -> Float[Array, ""] | None:
+        """The radius (m) of the balls about its points. `None`: they are sharp."""
+        return None
+
+    def carried(self, points: Float[Array, "P 3"], spin: Float[Array, "3"]) -> Float[Array, "P 3"] | None:
+        """The velocity (m/s) of the material at sharp points that stay while it turns by `spin` (rad/s) against them.
+
+        `None`: the points are fixed in the material.
+        """
+        return None
+
+    def edges(self) -> Edges | None:
+        """Its sharp convex edges."""
+        return None
+
+    def axis(self) -> Axis | None:
+        """Its round side."""
+        return None
+
+    def has_side(self, query: Float[Array, "3"]) -> Bool[Array, ""] | None:
+        """Whether the round side is closest to `query`, and not a ball at its end. `None`: it has no such balls."""
+        return None
+
+    def thickness(self) -> Float[Array, ""] | None:
+        """Half the least width (m) of a shape with sharp edges: those of its far side are farther away."""
+        return None
 
 
 def begin(near: SurfacePoint, query: Float[Array, "3"]) -> Track:

@@ -9,10 +9,16 @@ from jaxtyping import Array, Float, Int
 
 from .. import safe
 from .._validate import as_float, check_positive
-from ._shape import Shape, SurfacePoint, Track, begin, ease
+from ._shape import Edges, Shape, SurfacePoint, Track, begin, ease
 
 # One row a vertex, in units of half the edge length.
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+
+# The pairs of vertices that differ along one axis only, and the faces that meet there.
+_EDGES = np.array([(i, j) for i in range(8) for j in range(i) if np.sum(_CORNERS[i] != _CORNERS[j]) == 1])
+_EDGE_NORMALS = np.array(
+    [[_CORNERS[i][a] * np.eye(3)[a] for a in range(3) if _CORNERS[i][a] == _CORNERS[j][a]] for i, j in _EDGES]
+)
 
 
 class Box(Shape):
@@ -64,9 +70,18 @@ class Box(Shape):
         near = SurfacePoint(query + depth * normal, normal, jnp.where(held, depth, 0), face)
         return ease(track, query, near)
 
-    def vertices(self) -> Float[Array, "8 3"]:
-        """The eight corners, m, in the box's frame."""
+    def points(self, facing=None) -> Float[Array, "8 3"]:
+        """The eight vertices."""
         return jnp.asarray(_CORNERS, self.size.dtype) * (self.size / 2)[None, :]
+
+    def edges(self) -> Edges:
+        """The twelve edges."""
+        vertices, normals = self.points(), jnp.asarray(_EDGE_NORMALS, self.size.dtype)
+        return Edges(vertices[_EDGES[:, 0]], vertices[_EDGES[:, 1]], normals)
+
+    def thickness(self) -> Float[Array, ""]:
+        """Half the shortest edge."""
+        return jnp.min(self.size) / 2
 
     def inertia_per_mass(self) -> Float[Array, "3"]:
         """Solid cuboid: (b^2 + c^2) / 12 about the axis along edge a."""

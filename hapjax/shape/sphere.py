@@ -33,3 +33,11 @@ class Sphere(Shape):
     def inertia_per_mass(self) -> Float[Array, "3"]:
         """Solid ball: 2/5 r^2 about every axis."""
         return jnp.broadcast_to(0.4 * self.radius**2, (3,))
+
+    def points(self, facing) -> Float[Array, "1 3"]:
+        """The centre."""
+        return jnp.zeros((1, 3), self.radius.dtype)
+
+    def rounding(self) -> Float[Array, ""]:
+        """The radius."""
+        return self.radius
