@@ -23,6 +23,8 @@ from .scene import cast as cast
 from .scene_file import load_scene as load_scene
 from .scene_file import save_scene as save_scene
 from .shape import Box as Box
+from .shape import Capsule as Capsule
+from .shape import Cylinder as Cylinder
 from .shape import Plane as Plane
 from .shape import Sphere as Sphere
 from .simulate import Reply as Reply
