@@ -42,22 +42,31 @@ def simulate(scene: Positional[Path], *, hip: Path, out: Path) -> None:
 
     Args:
         scene: Scene file (TOML).
-        hip: Recording (.npz, .csv) whose channel hip (m, world frame) is replayed at the scene's time step.
+        hip: Recording (.npz, .csv) whose channel hip (m, world frame) is replayed at the scene's time step, and, where
+            the scene's torsion is a gimbal, its channel gimbal (rad).
         out: Recording to write (.npz, .csv): hip, force on the fingers, pose of the moving objects.
     """
     Recording.check_writable(out)
     with jax.enable_x64(True):
         loaded = load_scene(scene)
         dt = float(loaded.integrator.dt)
-        path, start = _path_of(hip, dt)
-        _, reply = rollout(loaded, init(loaded, path[0]), path)
-    times = start + dt * np.arange(len(path))
+        recording = Recording.load(hip)
+        with within(f"{hip}: "):
+            path = recording.hip_every(dt)
+            assert recording.hip_t is not None
+            times = recording.hip_t[0] + dt * np.arange(len(path))
+            turned = loaded.torsion is not None and loaded.torsion.needs_gimbal
+            gimbals = recording.gimbal_at(times) if turned else None
+        first = None if gimbals is None else gimbals[0]
+        _, reply = rollout(loaded, init(loaded, path[0], first), path, gimbals=gimbals)
     channels: dict[str, Any] = {
         "hip": path,
         "hip_t": times,
         "force": np.asarray(reply.force),
         "force_t": times,
     }
+    if gimbals is not None:
+        channels |= {"gimbal": gimbals, "gimbal_t": times}
     if loaded.moving():
         channels |= {"pose": np.asarray(reply.pose), "pose_t": times + dt}  # a step's poses belong to its end
     with within(f"{scene} with {hip}: the simulation ended with "):
@@ -214,11 +223,3 @@ def _reason(event: parse_errors.ParseErrorEvent) -> str:
 
 def _flag(argument: Any) -> str:
     return str(argument.lowered.metavar) if argument.is_positional() else argument.lowered.name_or_flags[-1]
-
-
-def _path_of(hip: Path, dt: float) -> tuple[np.ndarray, float]:
-    recording = Recording.load(hip)
-    with within(f"{hip}: "):
-        path = recording.hip_every(dt)
-    assert recording.hip_t is not None
-    return path, float(recording.hip_t[0])

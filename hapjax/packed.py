@@ -24,11 +24,12 @@ class PackedStep:
     """A compiled step of one scene for a fixed number of fingers.
 
     `call(memory, hip)` takes the memory of the last call and the fingers' positions (F, 3) in m as a NumPy array of
-    `dtype`, and returns the new memory: one array that begins with the forces on the fingers. `start` is the
-    memory before the first call. `compile_s` is what compiling took, in s.
+    `dtype`, and returns the new memory: one array that begins with the forces on the fingers. Under a torsion that reads
+    gimbals it is `call(memory, hip, gimbal)`, with their angles (F,) in rad. `start` is the memory before the first
+    call. `compile_s` is what compiling took, in s.
     """
 
-    call: Callable[[Array, np.ndarray], Array]
+    call: Callable[..., Array]
     start: Array
     fingers: int
     dtype: np.dtype
@@ -44,21 +45,26 @@ class PackedStep:
         return self.unravel(memory[3 * self.fingers :])
 
 
-def pack(scene: Scene, hip: Float[Any, "F 3"], dt: float | None = None) -> PackedStep:
+def pack(
+    scene: Scene, hip: Float[Any, "F 3"], dt: float | None = None, gimbal: Float[Any, "F"] | None = None
+) -> PackedStep:
     """Compile the step of `scene` for fingers that start at `hip` (F, 3) m; `dt` in s, `None`: the integrator's.
+
+    **Arguments:** `gimbal` (F,) rad, where the scene's torsion is a `Gimbal`.
 
     **Raises:** `InputError` as `init` does.
     """
-    state = init(scene, hip)
+    state = init(scene, hip, gimbal)
     flat, unravel = ravel_pytree(state)
     fingers = np.shape(hip)[0]
     dtype = dtype_of(scene)
 
-    def packed(memory: Array, hip: Array) -> Array:
-        after, reply = step(scene, unravel(memory[3 * fingers :]), hip, dt)
+    def packed(memory: Array, hip: Array, gimbal: Array | None = None) -> Array:
+        after, reply = step(scene, unravel(memory[3 * fingers :]), hip, dt, gimbal)
         return jnp.concatenate([reply.force.ravel(), ravel_pytree(after)[0]])
 
     start = jnp.concatenate([jnp.zeros(3 * fingers, dtype), flat])
     began = time.perf_counter()
-    call = jax.jit(packed).lower(start, jax.ShapeDtypeStruct((fingers, 3), dtype)).compile()
+    shapes = [(fingers, 3)] if gimbal is None else [(fingers, 3), (fingers,)]
+    call = jax.jit(packed).lower(start, *(jax.ShapeDtypeStruct(shape, dtype) for shape in shapes)).compile()
     return PackedStep(call, start, fingers, np.dtype(dtype), unravel, time.perf_counter() - began)

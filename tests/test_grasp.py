@@ -98,7 +98,8 @@ def grip_of(gods, radii, touching, normals=None, forces=None):
     """A grip of three fingers; the gravity drop reads neither normals nor forces."""
     normals = np.zeros_like(gods) if normals is None else normals
     forces = np.zeros_like(radii) if forces is None else forces
-    return Grip(*map(jnp.asarray, (gods, normals, forces, radii, np.array(touching))))
+    touching = np.array(touching)
+    return Grip(*map(jnp.asarray, (gods, normals, forces, radii, touching, touching)))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.7, 1.0, 1.4])

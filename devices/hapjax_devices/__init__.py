@@ -3,6 +3,7 @@
 from .device import Device as Device
 from .device import DeviceClosed as DeviceClosed
 from .device import DeviceError as DeviceError
+from .device import GimbalDevice as GimbalDevice
 from .operator import Hand as Hand
 from .operator import Operator as Operator
 from .operator import waypoints as waypoints

@@ -47,3 +47,16 @@ class Device(Protocol):
     def __enter__(self) -> "Device": ...
 
     def __exit__(self, *exception) -> None: ...
+
+
+@runtime_checkable
+class GimbalDevice(Device, Protocol):
+    """A device whose thimble hangs in an instrumented gimbal; a scene whose torsion is a gimbal needs them."""
+
+    def read_gimbal(self) -> float:
+        """The angle, rad, at the time of the last `read`, right-handed about the line from the earlier finger to the
+        later.
+
+        **Raises:** `DeviceError`.
+        """
+        ...

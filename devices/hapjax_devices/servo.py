@@ -13,7 +13,7 @@ import hapjax
 from hapjax import InputError, Scene
 from hapjax.recording import Recording
 
-from .device import Device, DeviceError
+from .device import Device, DeviceError, GimbalDevice
 from .realtime import MonotonicClock, Pacer, uncollected, undisturbed
 from .safety import ForceGuard
 from .sensor import ForceSensor, PoseTracker
@@ -73,9 +73,17 @@ def run(
         number of times into the loop's. `None`: the recording is without that channel.
     - `realtime`: `False` runs as fast as it can, with the same recording on virtual devices.
 
+    A scene whose torsion is a gimbal needs devices that are each a `GimbalDevice`; the recording then has the channel
+    `gimbal`, exactly what the step got.
+
     **Raises:** `InputError` for arguments out of range; `DeviceError` from a device, or where one reads NaN.
     """
     ticks = _ticks(duration, rate)
+    turned = scene.torsion is not None and scene.torsion.needs_gimbal
+    if turned and not all(isinstance(device, GimbalDevice) for device in devices):
+        raise InputError(
+            "the scene's torsion is a gimbal, but a device has no read_gimbal; allowed: a GimbalDevice for each finger"
+        )
     if not devices:
         raise InputError("devices is empty; allowed: one device or more")
     if pose_tracker is not None and not scene.moving():
@@ -86,16 +94,18 @@ def run(
         for device in devices:
             stack.enter_context(device)
         hip = np.stack([device.read() for device in devices])
-        packed = hapjax.pack(scene, hip, 1 / rate)
-        log = _Log(ticks, rate, packed, force_sensor, pose_tracker)
+        gimbals = [device for device in devices if isinstance(device, GimbalDevice)] if turned else []
+        angles = [np.array([device.read_gimbal() for device in gimbals])] if turned else []
+        packed = hapjax.pack(scene, hip, 1 / rate, *angles)
+        log = _Log(ticks, rate, packed, force_sensor, pose_tracker, turned)
         guard = ForceGuard(np.array([device.force_limit for device in devices]))
         for _ in range(WARM_UP):
-            packed.force(packed.call(packed.start, hip.astype(packed.dtype)))
+            packed.force(packed.call(packed.start, *(x.astype(packed.dtype) for x in (hip, *angles))))
         stack.enter_context(uncollected())
         refused = stack.enter_context(undisturbed() if realtime else nullcontext([]))
         stack.enter_context(_let_go(devices))
         pacer = Pacer(round(1e9 / rate), MonotonicClock()) if realtime else None
-        _loop(packed, devices, guard, log, pacer)
+        _loop(packed, devices, gimbals, guard, log, pacer)
     missed = 0 if pacer is None else pacer.missed
     recording = log.recording()
     return ServoResult(
@@ -103,21 +113,29 @@ def run(
     )
 
 
-def _loop(packed: hapjax.PackedStep, devices, guard: ForceGuard, log: "_Log", pacer: Pacer | None) -> None:
+def _loop(
+    packed: hapjax.PackedStep, devices, gimbals, guard: ForceGuard, log: "_Log", pacer: Pacer | None
+) -> None:
     memory, hip = packed.start, np.empty((packed.fingers, 3), packed.dtype)
+    angle = np.empty(len(gimbals), packed.dtype)
+    inputs = (hip, angle) if gimbals else (hip,)
     output = np.empty((packed.fingers, 3))
     for tick in range(len(log.hip)):
         late = 0 if pacer is None else pacer.wait()
         began = time.perf_counter_ns()
         for finger, device in enumerate(devices):
             hip[finger] = device.read()
+        for finger, device in enumerate(gimbals):
+            angle[finger] = device.read_gimbal()
         if not np.isfinite(hip).all():
             raise DeviceError(f"tick {tick}: the devices read {hip.tolist()} m; a position must be finite")
-        memory = packed.call(memory, hip)
+        if not np.isfinite(angle).all():
+            raise DeviceError(f"tick {tick}: the gimbals read {angle.tolist()} rad; an angle must be finite")
+        memory = packed.call(memory, *inputs)
         force = guard(packed.force(memory))
         for finger, device in enumerate(devices):
             output[finger] = device.write(force[finger])
-        log.add(tick, hip, output, memory)
+        log.add(tick, hip, angle, output, memory)
         log.lateness_us[tick] = late * 1e-3
         log.compute_us[tick] = (time.perf_counter_ns() - began) * 1e-3
 
@@ -134,10 +152,11 @@ def _let_go(devices: Sequence[Device]) -> Iterator[None]:
 class _Log:
     """The arrays of a recording, all made before the loop begins."""
 
-    def __init__(self, ticks, rate, packed: hapjax.PackedStep, force_sensor, pose_tracker):
+    def __init__(self, ticks, rate, packed: hapjax.PackedStep, force_sensor, pose_tracker, turned: bool):
         self._rate = rate
         self._force_sensor, self._pose_tracker = force_sensor, pose_tracker
         self.hip = np.zeros((ticks, packed.fingers, 3))
+        self.gimbal = np.zeros((ticks, packed.fingers)) if turned else None
         self.lateness_us = np.zeros(ticks)
         self.compute_us = np.zeros(ticks)
         if force_sensor is not None:
@@ -148,9 +167,11 @@ class _Log:
             self._pose_at = _pose_places(packed)
             self._pose = np.zeros((ticks // self._pose_every, *self._pose_at.shape))
 
-    def add(self, tick: int, hip, output, memory) -> None:
+    def add(self, tick: int, hip, angle, output, memory) -> None:
         """Note what a tick got, put out and moved."""
         self.hip[tick] = hip
+        if self.gimbal is not None:
+            self.gimbal[tick] = angle
         if self._force_sensor is not None and tick % self._force_every == 0:
             self._force[tick // self._force_every] = self._force_sensor.measure(output)
         if self._pose_tracker is not None and (tick + 1) % self._pose_every == 0:
@@ -160,6 +181,8 @@ class _Log:
     def recording(self) -> Recording:
         """What was logged."""
         channels = {"hip": self.hip, "hip_t": np.arange(len(self.hip)) / self._rate}
+        if self.gimbal is not None:
+            channels |= {"gimbal": self.gimbal, "gimbal_t": channels["hip_t"]}
         if self._force_sensor is not None:
             times = np.arange(len(self._force)) * self._force_every / self._rate
             channels |= {"force": self._force, "force_t": times}

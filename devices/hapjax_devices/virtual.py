@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+from hapjax import InputError
+
 from .device import DeviceClosed, DeviceError
 from .operator import Hand, Operator
 
@@ -18,7 +20,8 @@ class VirtualDevice:
     latched at the sample before, as over a bus. Forces come in steps of `force_step` (N) an axis, and the
     norm is limited to `force_limit` (N). Each write carries the hand on by one `period` (s).
 
-    **Arguments:** `path` (T, 3) m, `period` s and `hand` as for `Operator`.
+    **Arguments:** `path` (T, 3) m, `period` s and `hand` as for `Operator`. `gimbal` (G,) rad, the angles of the
+    fingertip's gimbal: one a period from `open` on, the last one kept; `None`: 0 always.
 
     **Attributes:** `path`; `operator`, the hand while the device is open; `output` (3,) N, the force that
     it puts out.
@@ -32,10 +35,15 @@ class VirtualDevice:
         resolution: float = ENCODER_STEP,
         force_step: float = FORCE_STEP,
         force_limit: float = FORCE_LIMIT,
+        gimbal: Float[np.ndarray, "G"] | None = None,
     ):
         self.resolution, self.force_limit, self._force_step = resolution, force_limit, force_step
         self.path, self._period, self._hand = path, period, hand or Hand()
+        self.gimbal = np.zeros(1) if gimbal is None else np.asarray(gimbal, np.float64)
+        if self.gimbal.ndim != 1 or not self.gimbal.size or not np.isfinite(self.gimbal).all():
+            raise InputError(f"gimbal has the shape {self.gimbal.shape}; allowed: (G,) finite angles in rad")
         self._operator: Operator | None = None
+        self._sample = 0
         self._latched = np.zeros(3)
         self.output = np.zeros(3)
         Operator(path, period, self._hand)  # refuses a bad path now rather than when the device is opened
@@ -50,6 +58,7 @@ class VirtualDevice:
     def open(self) -> None:
         """Put the hand at the start of its path; see `Device.open`."""
         self._operator = Operator(self.path, self._period, self._hand)
+        self._sample = 0
         self._latched = self._encode()
         self.output = np.zeros(3)
 
@@ -59,12 +68,19 @@ class VirtualDevice:
             raise DeviceClosed("the virtual device is not open")
         return self._latched
 
+    def read_gimbal(self) -> float:
+        """The gimbal's angle, as late as the position; see `GimbalDevice.read_gimbal`."""
+        if self._operator is None:
+            raise DeviceClosed("the virtual device is not open")
+        return float(self.gimbal[min(max(self._sample - 1, 0), len(self.gimbal) - 1)])
+
     def write(self, force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """Push the hand for one period; see `Device.write`."""
         operator = self.operator
         self.output = self._driven(np.asarray(force, np.float64))
         self._latched = self._encode()
         operator.advance(self.output)
+        self._sample += 1
         return self.output
 
     def close(self) -> None:

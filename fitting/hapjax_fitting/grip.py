@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from hapjax import Scene, init, rollout, rotation, safe
+from hapjax import Scene, rotation, safe
 
-from .observation import Observation
+from .observation import Observation, played
 from .parameters import Parameter
 from .problem import NOTICEABLE, Problem, loss_at
 from .transform import Logit
@@ -134,7 +134,7 @@ def largest_ratio(scene: Scene, groups: Sequence[Observation], parameter: Parame
     """
     largest = 0.0
     for group in groups:
-        grip = grips(scene, group.hips)[_part(parameter)]
+        grip = grips(scene, group.hips, group.gimbals)[_part(parameter)]
         normal, tangential = np.asarray(grip.normal_force), np.asarray(grip.friction_force)
         firm = normal > 1e-3 * normal.max(initial=0)
         if parameter.index is not None:
@@ -144,12 +144,13 @@ def largest_ratio(scene: Scene, groups: Sequence[Observation], parameter: Parame
 
 
 @jax.jit
-def grips(scene: Scene, hips: Float[Array, "R T F 3"]) -> dict[str, Grip]:
+def grips(
+    scene: Scene, hips: Float[Array, "R T F 3"], gimbals: Float[Array, "R T F"] | None
+) -> dict[str, Grip]:
     """The grip of every finger on every object, and of every contact's points, by path, over time."""
 
-    def one(path):
-        state = init(scene, path[0])
-        _, reply = rollout(scene, state, path)
+    def one(path, angles):
+        state, reply = played(scene, path, angles)
         found = {}
         for name, touch in reply.touch.items():
             thing = scene.object[name]
@@ -170,7 +171,7 @@ def grips(scene: Scene, hips: Float[Array, "R T F 3"]) -> dict[str, Grip]:
             found[f"contact.{name}"] = Grip(touch.normal_force, safe.norm(touch.friction_force), face, None)
         return found
 
-    return jax.vmap(one)(hips)
+    return jax.vmap(one, in_axes=(0, None if gimbals is None else 0))(hips, gimbals)
 
 
 def _part(parameter: Parameter) -> str:

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from hapjax import InputError, Recording, Scene, init, rollout, rotation
+from hapjax import InputError, Recording, Reply, Scene, State, init, rollout, rotation
+from hapjax.errors import within
 
 CHANNELS = ("force", "pose")
 _LARGEST = 1e6  # N or m
@@ -31,12 +32,14 @@ class Observation(eqx.Module):
     """One recording, ready to be compared: the fingers' path on the model's time grid and the measured
     samples.
 
-    `hips` (T, F, 3) m at intervals of the integrator's dt; `force` (N, F, 3) N; `pose` (N, O, 7).
+    `hips` (T, F, 3) m at intervals of the integrator's dt; `force` (N, F, 3) N; `pose` (N, O, 7); `gimbals` (T, F) rad,
+    where the scene's torsion reads them.
     """
 
     hips: Float[Array, "*r T F 3"]
     force: Samples | None
     pose: Samples | None
+    gimbals: Float[Array, "*r T F"] | None = None
 
 
 class Noise(eqx.Module):
@@ -72,7 +75,11 @@ def observation_of(scene: Scene, recording: Recording, channels: tuple[str, ...]
         raise InputError(
             f"{name}: nothing to compare was recorded; allowed: a recording with {' or '.join(channels)}"
         )
-    return Observation(jnp.asarray(hips, dtype), force, pose)
+    gimbals = None
+    if scene.torsion is not None and scene.torsion.needs_gimbal:
+        with within(f"{name}: "):
+            gimbals = jnp.asarray(recording.gimbal_at(start + dt * np.arange(len(hips))), dtype)
+    return Observation(jnp.asarray(hips, dtype), force, pose, gimbals)
 
 
 def residuals(scene: Scene, observation: Observation, noise: Noise) -> dict[str, Float[Array, "N m"]]:
@@ -94,8 +101,7 @@ def residuals(scene: Scene, observation: Observation, noise: Noise) -> dict[str,
 
 def predicted(scene: Scene, observation: Observation) -> dict[str, Float[Array, "N n m"]]:
     """What the scene says of each observed channel at the times of its samples."""
-    state = init(scene, observation.hips[0])
-    _, reply = rollout(scene, state, observation.hips)
+    state, reply = played(scene, observation.hips, observation.gimbals)
     found = {}
     if observation.force is not None:
         found["force"] = observation.force.between(reply.force)
@@ -103,6 +109,14 @@ def predicted(scene: Scene, observation: Observation) -> dict[str, Float[Array, 
         first = jnp.stack([jnp.concatenate([m.position, m.orientation]) for m in state.motion.values()])
         found["pose"] = observation.pose.between(_unflipped(jnp.concatenate([first[None], reply.pose])))
     return found
+
+
+def played(
+    scene: Scene, hips: Float[Array, "T F 3"], gimbals: Float[Array, "T F"] | None
+) -> tuple[State, Reply]:
+    """The state before the first step, and the replies of all."""
+    state = init(scene, hips[0], None if gimbals is None else gimbals[0])
+    return state, rollout(scene, state, hips, gimbals=gimbals)[1]
 
 
 def _unflipped(pose: Float[Array, "T O 7"]) -> Float[Array, "T O 7"]:

@@ -73,7 +73,8 @@ def replay(result: FitResult, recording: Recording, name: str) -> Replay:
         samples = getattr(observation, key)
         time = times[0] + dt * (np.asarray(samples.index) + np.asarray(samples.weight, np.float64))
         channels[key] = Compared(time, np.asarray(samples.value), np.asarray(said[key]))
-    played = grips(scene, observation.hips[None])
+    gimbals = None if observation.gimbals is None else observation.gimbals[None]
+    played = grips(scene, observation.hips[None], gimbals)
     found = {path: jax.tree.map(lambda x: np.asarray(x)[0], grip) for path, grip in played.items()}
     return Replay(channels, [_touching(result, path, found, times, observation) for path in found])
 

@@ -40,16 +40,18 @@ def measure(scene: Scene | None, fingers: int, seconds: float) -> dict[str, Any]
     servo = need("hapjax_devices", "devices")
     felt, devices = _felt(scene, fingers)
     hip = np.stack([np.asarray(device.path[0]) for device in devices])
-    scan_step, scan_compile = _scan(felt, hip)
-    packed = pack(felt, hip, 1 / RATE)
+    gimbal = np.zeros(fingers) if felt.torsion is not None and felt.torsion.needs_gimbal else None
+    packed = pack(felt, hip, 1 / RATE, gimbal)
+    scan_step, scan_compile = _scan(felt, hip, gimbal)
+    inputs = [x.astype(packed.dtype) for x in (hip, gimbal) if x is not None]
     loop = servo.run(felt, devices, seconds, RATE)
     return {
         "device": str(jax.devices()[0]),
         "dtype": str(dtype_of(felt)),
         "fingers": len(devices),
         "scan_step_us": scan_step,
-        "packed_call_us": _percentiles(_calls(packed.call, packed, hip)),
-        "empty_call_us": _percentiles(_calls(_empty(packed), packed, hip)),
+        "packed_call_us": _percentiles(_calls(packed.call, packed, inputs)),
+        "empty_call_us": _percentiles(_calls(_empty(packed, inputs), packed, inputs)),
         "compile_s": {"step": packed.compile_s, "rollout": scan_compile},
         "loop": loop.summary(),
         "refused": list(loop.refused),
@@ -83,38 +85,42 @@ def report(scene: Scene | None, fingers: int, seconds: float, file: Path | None)
             out.write("\n")
 
 
-def _scan(scene: Scene, hip: np.ndarray) -> tuple[float, float]:
+def _scan(scene: Scene, hip: np.ndarray, gimbal: np.ndarray | None) -> tuple[float, float]:
     """us a step inside a compiled loop (median of 9 runs), and s to compile it."""
     hips = jnp.asarray(np.broadcast_to(hip, (SCAN_STEPS, *hip.shape)), dtype_of(scene))
-    state = init(scene, hips[0])
+    gimbals = None if gimbal is None else jnp.asarray(np.broadcast_to(gimbal, hips.shape[:2]), hips.dtype)
+    state = init(scene, hips[0], gimbal)
     began = time.perf_counter()
-    compiled = rollout.lower(scene, state, hips, 1 / RATE).compile()
+    compiled = rollout.lower(scene, state, hips, 1 / RATE, gimbals).compile()
     compile_s = time.perf_counter() - began
     runs = []
     for _ in range(10):
         began = time.perf_counter()
-        jax.block_until_ready(compiled(scene, state, hips, 1 / RATE))
+        jax.block_until_ready(compiled(scene, state, hips, 1 / RATE, gimbals))
         runs.append((time.perf_counter() - began) / SCAN_STEPS * 1e6)
     return float(np.median(runs[1:])), compile_s
 
 
-def _empty(packed: PackedStep) -> Callable[[Any, Any], Any]:
+def _empty(packed: PackedStep, inputs: list[np.ndarray]) -> Callable[..., Any]:
     """A compiled call with the packed step's arguments and result that does next to nothing.
 
     It adds one number, since a call that only hands its argument back would not be made at all.
     """
-    hip = jax.ShapeDtypeStruct((packed.fingers, 3), packed.dtype)
-    return jax.jit(lambda memory, hip: memory + hip[0, 0]).lower(packed.start, hip).compile()
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in inputs]
+
+    def empty(memory, *inputs):
+        return memory + sum(x.ravel()[0] for x in inputs)
+
+    return jax.jit(empty).lower(packed.start, *shapes).compile()
 
 
-def _calls(call: Callable[[Any, Any], Any], packed: PackedStep, hip: np.ndarray) -> np.ndarray:
+def _calls(call: Callable[..., Any], packed: PackedStep, inputs: list[np.ndarray]) -> np.ndarray:
     """us of each call, forces read."""
-    hip = hip.astype(packed.dtype)
     taken = np.empty(CALLS)
     memory = packed.start
     for i in range(-100, CALLS):  # the first hundred are not counted
         began = time.perf_counter_ns()
-        memory = call(memory, hip)
+        memory = call(memory, *inputs)
         packed.force(memory)
         taken[max(i, 0)] = (time.perf_counter_ns() - began) * 1e-3
     return taken

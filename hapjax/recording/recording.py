@@ -89,6 +89,17 @@ class Recording:
             -1, *self.hip.shape[1:]
         )
 
+    def gimbal_at(self, times: np.ndarray) -> np.ndarray:
+        """The gimbals' angles (N, F) rad at the `times` (N,) s, for a model to follow.
+
+        Linearly interpolated; before the first sample and after the last they stay as they are there.
+
+        **Raises:** `hapjax.InputError` if `gimbal` was not recorded.
+        """
+        if self.gimbal is None or self.gimbal_t is None:
+            raise InputError("gimbal was not recorded; expected the angles of the fingers' gimbals")
+        return np.stack([np.interp(times, self.gimbal_t, angle) for angle in self.gimbal.T], axis=-1)
+
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "Recording":
         """Read a recording from a `.npz` or `.csv` file.

@@ -13,7 +13,7 @@ class Grip(eqx.Module):
 
     `point` (F, 3) m, the god-objects from the object's origin; `normal` (F, 3), the outward normals of the surface
     there, 0 where nothing touches; `normal_force` (F,) N; `circle` (F,) m, the radii mu d of the friction circles;
-    `touching` (F,).
+    `touching` (F,), and `touched`, whether they did in the step before.
     """
 
     point: Float[Array, "F 3"]
@@ -21,6 +21,7 @@ class Grip(eqx.Module):
     normal_force: Float[Array, "F"]
     circle: Float[Array, "F"]
     touching: Bool[Array, "F"]
+    touched: Bool[Array, "F"]
 
 
 class Twist(eqx.Module):

@@ -51,7 +51,8 @@ class SoftFinger(Torsion):
         """The torque with the fingers' own added, and the god-angles; see `Torsion.hold`."""
         assert angle is not None
         rate = jnp.sum(grip.normal * spin[None, :], axis=-1)
-        angle = angle + dt * rate  # the spin is what the object has just turned with
+        # The spin is what the object has just turned with; at first touch the angle is 0.
+        angle = jnp.where(grip.touched, angle + dt * rate, 0)
         pull = self.stiffness * angle
         if self.twist_damping is not None:
             pull = pull + self.twist_damping * rate
