@@ -4,6 +4,7 @@
 is replaced by a harmless one before the singular function sees it, and the result is replaced afterwards.
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -19,6 +20,19 @@ def divide(numerator: Float[Array, "*batch"], denominator: Float[Array, "*batch"
     """`numerator / denominator`, and 0 with gradient 0 where the denominator is 0."""
     is_zero = denominator == 0
     return jnp.where(is_zero, 0, numerator / jnp.where(is_zero, 1, denominator))
+
+
+def ratio(
+    numerator: Float[Array, "*batch"], denominator: Float[Array, "*batch"], most: float
+) -> Float[Array, "*batch"]:
+    """`numerator / denominator` of numbers of 0 or above, and constant where it is more than `most` or 0 / 0.
+
+    Derivatives stay finite however small the denominator, whose square may be too small to be told from 0.
+    """
+    smallest = jnp.maximum(
+        jax.lax.stop_gradient(numerator) / most, 10 * jnp.sqrt(jnp.finfo(numerator.dtype).tiny)
+    )
+    return numerator / jnp.maximum(denominator, smallest.astype(numerator.dtype))
 
 
 def normalise(x: Float[Array, "*batch n"]) -> Float[Array, "*batch n"]:

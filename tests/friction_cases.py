@@ -1,11 +1,12 @@
 """Friction laws and ways over a plane that several tests share."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import hapjax
-from hapjax.friction import Press
 
 TWO = dict(mu_static=0.5, mu_kinetic=0.3)
 LAWS = {
@@ -20,7 +21,7 @@ LAWS = {
 drag = jax.jit(hapjax.drag)
 
 
-def surface(name, stiffness=2000.0, **changes) -> hapjax.Surface:
+def surface(name, stiffness: Any = 2000.0, **changes: Any) -> hapjax.Surface:
     """A surface with a law; `changes` are other numbers of it."""
     law, mu = LAWS[name]
     return hapjax.Surface(stiffness, friction=law, **mu | changes)
@@ -44,22 +45,12 @@ def steady(law, speeds, load=1.5, dt=1e-3, steps=3000):
     return force[-1], force.max(axis=0)
 
 
-def pressed(law: hapjax.Surface, offset, velocity, sliding, viscous, dt):
-    """What a law does to a point under 1 N that has gone on for one step at a velocity (m/s) along x."""
-    unit = jnp.array([1.0, 0, 0])
+def pressed(law: hapjax.Surface, offset, velocity, sliding, viscous, dt, load=None):
+    """What a law does to a point under a load of 1 N that has gone on for one step at a velocity (m/s) along x."""
+    unit = jnp.array([1, 0, 0], dt.dtype)
     travel = velocity * dt * unit
-    static = law.mu if law.mu_static is None else law.mu_static
-    press = Press(
-        offset * unit - travel,
-        law.stiffness,
-        jnp.ones_like(dt),
-        viscous * unit,
-        travel,
-        sliding,
-        jnp.zeros_like(dt),
-        dt,
-        lambda _: static,
-        None if law.mu_kinetic is None else lambda _: law.mu_kinetic,
-    )
-    held = law.law().hold(press)
+    load = jnp.ones_like(dt) if load is None else load
+    near = hapjax.Plane().closest(jnp.zeros_like(unit))
+    offset = offset * unit - travel
+    held = law.hold(near, offset, load, viscous * unit, travel, sliding, jnp.zeros_like(dt), dt)
     return held.offset[0], held.force[0], held.sliding

@@ -1,6 +1,5 @@
 """The bristle that Dahl's and the LuGre law share: it is stretched by travel, and gives as it nears its limit."""
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -24,7 +23,7 @@ def stretch(press: Press, mu: Float[Array, ""]) -> Float[Array, "3"]:
     way = -press.travel  # the god-object from the point: it lags behind
     length = safe.norm(way)
     limit = mu * press.normal_force / press.stiffness
-    ratio = safe.divide(length, jnp.maximum(limit, jax.lax.stop_gradient(length) / _LONG))
+    ratio = safe.ratio(length, limit, _LONG)
     kept, given = jnp.exp(-ratio), -jnp.expm1(-ratio)
     # (1 - E) c / s by the ratio where the way is short, and by the way where the limit is.
     is_short = ratio < 1

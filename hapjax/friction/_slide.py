@@ -1,6 +1,5 @@
 """What the laws that hold and slide share: a god-object that stays within a limit, and is dragged beyond it."""
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -27,8 +26,7 @@ def decay(press: Press, stribeck_velocity: Float[Array, ""]) -> Float[Array, ""]
     """
     assert press.travel is not None and press.dt is not None
     speed = safe.norm(press.travel) / press.dt
-    ratio = safe.divide(speed, jnp.maximum(stribeck_velocity, jax.lax.stop_gradient(speed) / 10))
-    return jnp.exp(-(ratio**2))
+    return jnp.exp(-(safe.ratio(speed, stribeck_velocity, 10.0) ** 2))
 
 
 def drag(

@@ -1,7 +1,6 @@
 """The LuGre law: bristles with damping, a Stribeck curve and viscous friction."""
 
 import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .. import safe
@@ -69,6 +68,7 @@ class LuGre(Law):
         offset = kept_within(press, stretch(press, mu))
         slip = -press.travel / press.dt
         limit = mu * press.normal_force / press.stiffness
-        rate = slip - safe.norm(slip) * safe.divide(offset, jnp.broadcast_to(limit, offset.shape))
+        # mu_s / mu_k times 1 at most, and below 1e6 for any two that make sense
+        rate = slip - safe.norm(slip) * safe.normalise(offset) * safe.ratio(safe.norm(offset), limit, 1e6)
         damped = press.normal_force * (self.bristle_damping * rate + self.viscous * slip)
         return Friction(offset, press.stiffness * offset + damped, press.sliding)
