@@ -30,8 +30,8 @@ clean:
 	rm -rf .venv site dist build hapjax-demo .pytest_cache .ruff_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-.venv/.installed-demo: EXTRAS := fitting,devices
-.venv/.installed-dev: EXTRAS := fitting,devices,bench,dev
+.venv/.installed-demo: EXTRAS := fitting,devices,mesh
+.venv/.installed-dev: EXTRAS := fitting,devices,mesh,bench,dev
 .venv/.installed-docs: EXTRAS := docs
 
 .venv/.installed-%: pyproject.toml constraints.txt | $(BIN)/python

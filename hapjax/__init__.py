@@ -12,6 +12,7 @@ from .friction import Viscous as Viscous
 from .integrate import PivotForm as PivotForm
 from .integrate import SemiImplicit as SemiImplicit
 from .integrate import SemiImplicitMatrix as SemiImplicitMatrix
+from .mesh_file import load_mesh as load_mesh
 from .packed import PackedStep as PackedStep
 from .packed import pack as pack
 from .prescribed import drag as drag
@@ -24,7 +25,9 @@ from .scene_file import load_scene as load_scene
 from .scene_file import save_scene as save_scene
 from .shape import Box as Box
 from .shape import Capsule as Capsule
+from .shape import Convex as Convex
 from .shape import Cylinder as Cylinder
+from .shape import Mesh as Mesh
 from .shape import Plane as Plane
 from .shape import Sphere as Sphere
 from .simulate import Reply as Reply

@@ -21,7 +21,7 @@ class Body(eqx.Module):
     - `mass`: kg, above 0.
     - `inertia`: kg m^2 about the centre of mass along the object's axes: the three principal ones, or the symmetric 3x3
       matrix. `None`: that of uniform density.
-    - `centre`: the centre of mass in the object's frame, m; needs an `inertia`. `None`: the shape's centre.
+    - `centre`: the centre of mass in the object's frame, m; needs an `inertia`. `None`: the shape's centre of mass.
     - `rotation`: `False` leaves rotation out: the object only translates.
 
     **Raises:** `InputError` where no real body has these numbers (the principal moments obey the triangle inequality).
@@ -50,6 +50,21 @@ class Body(eqx.Module):
                 "rotation is false but inertia or centre is given; allowed: a body that turns, or neither"
             )
 
+    @classmethod
+    def of_density(cls, shape: Shape, density: Any, rotation: bool = True) -> "Body":
+        """The body of a shape of uniform `density` (kg/m^3, above 0): mass, centre and inertia follow from it.
+
+        **Raises:** `InputError` where the density is out of range, or the shape is unbounded.
+        """
+        density = as_float(density)
+        check_positive("density", density, unit="kg/m^3")
+        volume = shape.volume()
+        if volume is None:
+            raise InputError(
+                f"density is given, but a {type(shape).__name__.lower()} has no volume; allowed: mass"
+            )
+        return cls(density.astype(volume.dtype) * volume, rotation=rotation)
+
 
 class Motion(eqx.Module):
     """Where an object is and how it moves, in the world frame.
@@ -71,9 +86,17 @@ class Wrench(eqx.Module):
     torque: Float[Array, "3"]
 
 
-def centre_of(body: Body, position: Float[Array, "3"], matrix: Float[Array, "3 3"]) -> Float[Array, "3"]:
+def centre_within(body: Body, shape: Shape) -> Float[Array, "3"] | None:
+    """The centre of mass in the object's frame, m: given, or that of uniform density. `None`: the frame's origin."""
+    return shape.centre() if body.centre is None else body.centre
+
+
+def centre_of(
+    body: Body, shape: Shape, position: Float[Array, "3"], matrix: Float[Array, "3 3"]
+) -> Float[Array, "3"]:
     """The centre of mass in the world frame, m."""
-    return position if body.centre is None else position + rotation.turn(matrix, body.centre)
+    centre = centre_within(body, shape)
+    return position if centre is None else position + rotation.turn(matrix, centre)
 
 
 def velocity_at(motion: Motion, arms: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
@@ -92,7 +115,7 @@ def inertia_of(body: Body, shape: Shape) -> Float[Array, "3"] | Float[Array, "3 
     per_mass = shape.inertia_per_mass()
     if per_mass is None:
         raise InputError(
-            f"a body with the shape {type(shape).__name__.lower()} has no inertia; allowed: sphere, box"
+            f"a body with the shape {type(shape).__name__.lower()} has no inertia; allowed: a bounded shape"
         )
     return body.mass * per_mass
 

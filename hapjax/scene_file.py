@@ -11,6 +11,7 @@ import jax
 import numpy as np
 import tomli_w
 
+from . import mesh_file
 from .body import Body
 from .contact import Contact
 from .errors import InputError, within
@@ -18,7 +19,7 @@ from .files import replacing
 from .friction import LAWS
 from .integrate import METHODS
 from .scene import Object, Scene, World
-from .shape import SHAPES
+from .shape import SHAPES, Mesh, Shape
 from .surface import Surface
 from .torsion import MODELS
 
@@ -33,21 +34,24 @@ def load_scene(path: str | os.PathLike) -> Scene:
     """
     path = Path(path)
     with within(f"{path}: "):
-        return scene_from_dict(_read(path))
+        return scene_from_dict(_read(path), path.parent)
 
 
 def save_scene(scene: Scene, path: str | os.PathLike) -> None:
     """Write a scene file, whole or not at all. `load_scene` gives the same numbers back, to the last bit."""
-    text = tomli_w.dumps(scene_to_dict(scene))
+    text = tomli_w.dumps(scene_to_dict(scene, Path(path).parent))
     with replacing(path) as file:
         file.write(text)
 
 
-def scene_from_dict(table: Mapping[str, Any]) -> Scene:
-    """The scene that a scene file's tables describe. **Raises:** `InputError` as `load_scene`, without a file."""
+def scene_from_dict(table: Mapping[str, Any], folder: Path | None = None) -> Scene:
+    """The scene that a scene file's tables describe; the files of its meshes are in `folder`.
+
+    **Raises:** `InputError` as `load_scene`, without a file.
+    """
     _known(table, "", ("object", "contact", "torsion", "world", "integrator"))
     parts: dict[str, Any] = {
-        "object": {name: _object(name, t) for name, t in _tables(table, "object").items()},
+        "object": {name: _object(name, t, folder) for name, t in _tables(table, "object").items()},
         "contact": {
             name: _surface(Contact, t, f"contact.{name}.") for name, t in _tables(table, "contact").items()
         },
@@ -61,9 +65,16 @@ def scene_from_dict(table: Mapping[str, Any]) -> Scene:
     return Scene(**parts)
 
 
-def scene_to_dict(scene: Scene) -> dict[str, Any]:
-    """The tables of the scene file that describes a scene."""
-    table: dict[str, Any] = {"object": {name: _object_table(o) for name, o in scene.object.items()}}
+def scene_to_dict(scene: Scene, folder: Path | None = None) -> dict[str, Any]:
+    """The tables of the scene file in `folder` that describes a scene.
+
+    **Raises:** `InputError` where a mesh is in no file, or in none of that folder.
+    """
+    objects: dict[str, Any] = {}
+    for name, thing in scene.object.items():
+        with within(f"object.{name}."):
+            objects[name] = _object_table(thing, folder)
+    table: dict[str, Any] = {"object": objects}
     if scene.contact:
         table["contact"] = {name: _surface_table(pair) for name, pair in scene.contact.items()}
     if scene.torsion is not None:
@@ -110,24 +121,52 @@ def _check_integers(value: Any, path: str) -> None:
         raise InputError(f"{path} is an integer of {value.bit_length()} bits; allowed: at most 63 bits")
 
 
-def _object(name: str, table: Any) -> Object:
+def _object(name: str, table: Any, folder: Path | None) -> Object:
     prefix = f"object.{name}."
     _check_table(table, f"object.{name}")
     shape_type = _choice(SHAPES, "shape", None, table, prefix)
-    shape_fields = [f.name for f in dataclasses.fields(shape_type)]
-    _known(table, prefix, ("shape", *shape_fields, *_PLACE, "surface", "body"))
+    is_mesh = issubclass(shape_type, Mesh)
+    fields = (
+        mesh_file.shape_fields(shape_type) if is_mesh else [f.name for f in dataclasses.fields(shape_type)]
+    )
+    _known(table, prefix, ("shape", *fields, *_PLACE, "surface", "body"))
     parts: dict[str, Any] = {key: table[key] for key in _PLACE if key in table}
-    parts["shape"] = _build(shape_type, {key: table[key] for key in shape_fields if key in table}, prefix)
+    given = {key: table[key] for key in fields if key in table}
+    if is_mesh:
+        with within(prefix):
+            parts["shape"] = mesh_file.shape_from_table(shape_type, given, folder)
+    else:
+        parts["shape"] = _build(shape_type, given, prefix)
     if "surface" in table:
         parts["surface"] = _surface(Surface, table["surface"], f"{prefix}surface.")
     if "body" in table:
-        parts["body"] = _build(Body, table["body"], f"{prefix}body.")
+        parts["body"] = _body(table["body"], parts["shape"], f"{prefix}body.")
     with within(prefix):
         return Object(**parts)
 
 
-def _object_table(thing: Object) -> dict[str, Any]:
-    table = {"shape": _name_of(SHAPES, thing.shape), **_fields(thing.shape)}
+def _body(table: Any, shape: Shape, prefix: str) -> Body:
+    """A body from its table, which has a mass, or the density of a uniform solid in its place."""
+    _check_table(table, prefix[:-1])
+    if "density" not in table:
+        return _build(Body, table, prefix)
+    for other in ("mass", "inertia", "centre"):
+        if other in table:
+            raise InputError(
+                f"{prefix}density and {prefix}{other} are both given; allowed: density alone, or mass"
+            )
+    _known(table, prefix, ("density", "rotation"))
+    with within(prefix):
+        return Body.of_density(shape, **table)
+
+
+def _object_table(thing: Object, folder: Path | None) -> dict[str, Any]:
+    shape = thing.shape
+    if isinstance(shape, Mesh):
+        fields = {key: _plain(value) for key, value in mesh_file.table_of_shape(shape, folder).items()}
+    else:
+        fields = _fields(shape)
+    table = {"shape": _name_of(SHAPES, shape), **fields}
     table |= {key: _plain(getattr(thing, key)) for key in _PLACE}
     if thing.surface is not None:
         table["surface"] = _surface_table(thing.surface)

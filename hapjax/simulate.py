@@ -268,7 +268,7 @@ def _mover(scene: Scene, motion: dict[str, Motion], placed: dict[str, Placed], n
 def _centre(scene: Scene, placed: Placed, name: str) -> Float[Array, "3"]:
     body = scene.object[name].body
     assert body is not None
-    return rigid.centre_of(body, placed.position, placed.matrix)
+    return rigid.centre_of(body, placed.shape, placed.position, placed.matrix)
 
 
 def _surface(scene: Scene, name: str):

@@ -44,7 +44,9 @@ def test_a_point_of_the_body_moves_with_it(dtype):
 
 def test_centre_of_mass_turns_with_the_body():
     body = hapjax.Body(0.2, inertia=(1e-4,) * 3, centre=(0.01, 0.02, 0.0))
-    centre = rigid.centre_of(body, jnp.array([1.0, 2, 3]), jnp.asarray(matrix(TURNED)))
+    centre = rigid.centre_of(
+        body, hapjax.Box((0.1,) * 3), jnp.array([1.0, 2, 3]), jnp.asarray(matrix(TURNED))
+    )
     assert centre == pytest.approx(np.array([1, 2, 3]) + matrix(TURNED) @ [0.01, 0.02, 0])
 
 

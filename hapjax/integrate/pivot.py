@@ -36,7 +36,7 @@ class PivotForm(SemiImplicit):
         if motion.spin is None or pivot is None:
             return super().advance(body, shape, motion, wrench, gyroscopic, twist, dt)
         matrix = rotation.to_matrix(motion.orientation)
-        arm = rigid.centre_of(body, motion.position, matrix) - pivot
+        arm = rigid.centre_of(body, shape, motion.position, matrix) - pivot
         # The spatial inertia at the pivot, solved for the accelerations there: those of the centre of mass, carried over.
         turning = rigid.angular_acceleration(
             rigid.inertia_of(body, shape), matrix, motion.spin, wrench.torque, gyroscopic

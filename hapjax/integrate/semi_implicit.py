@@ -38,8 +38,9 @@ class SemiImplicit(Integrator):
             spin = lock(twist, spin)
         orientation = rotation.normalise(self.turn(motion.orientation, spin, dt))
         position = motion.position + dt * velocity
-        if body.centre is not None:  # it is the centre of mass that moves straight on
-            position = position + rotation.turn(matrix - rotation.to_matrix(orientation), body.centre)
+        centre = rigid.centre_within(body, shape)
+        if centre is not None:  # it is the centre of mass that moves straight on
+            position = position + rotation.turn(matrix - rotation.to_matrix(orientation), centre)
         return Motion(position, orientation, velocity, spin)
 
     def turn(

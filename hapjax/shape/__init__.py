@@ -8,7 +8,9 @@ from ._shape import SurfacePoint as SurfacePoint
 from ._shape import Track as Track
 from .box import Box as Box
 from .capsule import Capsule as Capsule
+from .convex import Convex as Convex
 from .cylinder import Cylinder as Cylinder
+from .mesh import Mesh as Mesh
 from .plane import Plane as Plane
 from .sphere import Sphere as Sphere
 
@@ -18,4 +20,6 @@ SHAPES: dict[str, type[Shape]] = {
     "box": Box,
     "cylinder": Cylinder,
     "capsule": Capsule,
+    "convex": Convex,
+    "mesh": Mesh,
 }

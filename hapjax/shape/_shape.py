@@ -80,6 +80,14 @@ class Shape(eqx.Module):
     def inertia_per_mass(self) -> Float[Array, "3"] | Float[Array, "3 3"] | None:
         """Inertia of the uniform solid about its centre of mass over its mass, m^2. None: it has no volume."""
 
+    def volume(self) -> Float[Array, ""] | None:
+        """The volume, m^3. `None`: it is unbounded."""
+        return None
+
+    def centre(self) -> Float[Array, "3"] | None:
+        """The centre of mass of the uniform solid, m. `None`: the origin of the shape's frame."""
+        return None
+
     def start(self, query: Float[Array, "3"]) -> Track | None:
         """What is remembered of a point that has just appeared at `query`. A smooth shape remembers nothing."""
         return None

@@ -83,6 +83,10 @@ class Box(Shape):
         """Half the shortest edge."""
         return jnp.min(self.size) / 2
 
+    def volume(self) -> Float[Array, ""]:
+        """The product of the edge lengths, m^3."""
+        return jnp.prod(self.size)
+
     def inertia_per_mass(self) -> Float[Array, "3"]:
         """Solid cuboid: (b^2 + c^2) / 12 about the axis along edge a."""
         square = self.size**2

@@ -30,6 +30,10 @@ class Sphere(Shape):
         normal = jnp.where(distance == 0, pole, safe.normalise(query))
         return SurfacePoint(self.radius * normal, normal, self.radius - distance, jnp.zeros((), jnp.int32))
 
+    def volume(self) -> Float[Array, ""]:
+        """4/3 pi r^3, m^3."""
+        return 4 / 3 * jnp.pi * self.radius**3
+
     def inertia_per_mass(self) -> Float[Array, "3"]:
         """Solid ball: 2/5 r^2 about every axis."""
         return jnp.broadcast_to(0.4 * self.radius**2, (3,))

@@ -1,0 +1,130 @@
+"""Meshes and convex polytopes from files, and in scene files."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import InputError, within
+from .extras import need
+from .shape import Convex, Mesh
+
+_SUFFIXES = (".stl", ".obj", ".ply", ".glb")
+_LARGEST = 512 * 2**20  # bytes; some ten million triangles
+_ALLOWED = f"allowed: a file ending in {', '.join(_SUFFIXES)}"
+_FIELDS = {Mesh: ("file", "scale", "shaded"), Convex: ("points", "file", "scale")}
+
+
+def load_mesh(path: str | os.PathLike, scale: Any = 1.0, shaded: bool = False) -> Mesh:
+    """Read a mesh from an STL, OBJ, PLY or GLB file; all parts of a GLB at their places, as one mesh.
+
+    Nothing but this file is read: materials and textures that it names are not. Vertices in one place are merged.
+
+    **Arguments:** `scale`: m in one unit of the file; `shaded` as for `Mesh`.
+
+    **Raises:** `InputError`, one sentence that names the file: it cannot be read, or as for `Mesh`.
+    """
+    with within(f"{path}: "):
+        vertices, triangles = _read(Path(path))
+        return Mesh(vertices, triangles, scale, shaded, str(Path(path).resolve()))
+
+
+def shape_fields(kind: type[Mesh]) -> tuple[str, ...]:
+    """The fields of a mesh's table in a scene file."""
+    return _FIELDS[kind]
+
+
+def shape_from_table(kind: type[Mesh], table: Mapping[str, Any], folder: Path | None) -> Mesh:
+    """The mesh that a scene file's table describes; its file lies in the scene file's `folder`."""
+    rest = {key: value for key, value in table.items() if key not in ("file", "points")}
+    if kind is Convex and ("file" in table) == ("points" in table):
+        given = "points and file are both given" if "file" in table else "points are missing"
+        raise InputError(f"{given}; allowed: points or file")
+    if "points" in table:
+        return Convex(table["points"], **rest)
+    if "file" not in table:
+        raise InputError("file is missing; allowed: a scene that gives it")
+    path = _within_folder(table["file"], folder)
+    if kind is Mesh:
+        with within("file "):
+            return load_mesh(path, **rest)
+    with within(f"file {path}: "):
+        return Convex(_read(path)[0], **rest, file=str(path.resolve()))
+
+
+def table_of_shape(shape: Mesh, folder: Path | None) -> dict[str, Any]:
+    """The fields, other than its numbers, that a mesh has in a scene file in `folder`.
+
+    **Raises:** `InputError` where a mesh is in no file, or in none of that folder.
+    """
+    if shape.file is not None and folder is not None and Path(shape.file).is_relative_to(folder.resolve()):
+        table: dict[str, Any] = {"file": Path(shape.file).relative_to(folder.resolve()).as_posix()}
+    elif isinstance(shape, Convex):
+        table = {"points": shape.vertices}
+    elif shape.file is None:
+        raise InputError("file is missing: the mesh was not loaded from one; allowed: a mesh from load_mesh")
+    else:
+        raise InputError(f"file is {shape.file!r}; allowed: a file in the folder of the scene file")
+    if shape.shaded:
+        table["shaded"] = True
+    return table | {"scale": shape.scale}
+
+
+def _within_folder(name: Any, folder: Path | None) -> Path:
+    allowed = "allowed: a relative path to a file in the folder of the scene file"
+    if not isinstance(name, str) or not name or "\0" in name:
+        raise InputError(f"file is {name!r}; {allowed}")
+    if folder is None:
+        raise InputError(f"file is {name!r}, but the scene is not from a file; {allowed}")
+    path = folder / name
+    inside = path.resolve().is_relative_to(folder.resolve())
+    if Path(name).is_absolute() or ".." in Path(name).parts or not inside:
+        raise InputError(f"file is {name!r}; {allowed}")
+    return path
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """The merged vertices and the triangles of a file."""
+    suffix = path.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise InputError(f"has the ending {suffix!r}; {_ALLOWED}")
+    try:
+        size = path.stat().st_size
+        if size > _LARGEST:
+            raise InputError(f"has {size} bytes; allowed: a mesh of at most {_LARGEST} bytes")
+        file = path.open("rb")
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror}); {_ALLOWED}") from None
+    trimesh = need("trimesh", "mesh")
+    with file:
+        try:
+            scene = trimesh.load_scene(file, file_type=suffix[1:], resolver=_Nothing())
+            mesh = scene.to_mesh()
+            mesh.merge_vertices(merge_tex=True, merge_norm=True)
+            vertices, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
+        # Whatever the file has may fail anywhere in its reader.
+        except Exception as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            raise InputError(f"is no mesh that can be read ({reason}); {_ALLOWED}") from None
+    if len(triangles) == 0:
+        raise InputError(f"has no triangles; {_ALLOWED}")
+    return vertices, triangles
+
+
+class _Nothing(Mapping):
+    """The files that a mesh may refer to: none."""
+
+    def __getitem__(self, key: Any) -> bytes:
+        raise KeyError(key)
+
+    def __iter__(self):
+        return iter(())
+
+    def __len__(self) -> int:
+        return 0
+
+    def get(self, key: Any, default: Any = None) -> bytes:
+        """No file, whatever its name."""
+        raise KeyError(key)

@@ -1,0 +1,204 @@
+"""First touch: the first triangle of a mesh that a straight way enters, found through a grid of cells.
+
+The cells are about as large as a triangle. Each has the list of the triangles that it may meet; cells share the rows
+of a hash table (Teschner et al. 2003), and a row that serves two cells only has some triangles more to try. So memory
+goes with the number of triangles, and a step's time with the cells on its way.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..errors import InputError
+from ._topology import LARGEST
+from ._triangle import area_normal, dot
+
+CHUNK = 8
+_PRIMES = (73856093, 19349663, 83492791)
+_MARGIN = 0.01  # of a cell: by so much a triangle is taken larger than it is, so that rounding loses none
+
+
+class Grid(eqx.Module):
+    """`low`, `high` (m): corners of the box of all cells; `cell` (m): their edge length. `start`: where each row of the
+    hash table begins in `triangles`. Whole numbers are kept as floats.
+    """
+
+    low: Float[Array, "3"]
+    high: Float[Array, "3"]
+    cell: Float[Array, ""]
+    start: Float[Array, "H"]
+    triangles: Float[Array, "E"]
+
+
+def grid_of(vertices: np.ndarray, triangles: np.ndarray) -> Grid:
+    """The grid of a mesh. **Raises:** `InputError` where its lists are longer than a float32 counts."""
+    corners = vertices[triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    cell = 1.5 * np.sqrt(area.sum() / len(triangles))
+    low = vertices.min(axis=0) - cell
+    size = np.ceil((vertices.max(axis=0) + cell - low) / cell)
+    cells, owners = _cells_of((corners - low) / cell)
+    if len(cells) >= LARGEST:
+        raise InputError(
+            f"triangles meet {len(cells)} cells; allowed: at most {LARGEST}, with triangles of less unequal sizes"
+        )
+    occupied = len(np.unique(cells, axis=0))
+    rows = 1 << int(np.ceil(np.log2(2 * occupied)))
+    row = _hash([cells[:, i].astype(np.uint32) for i in range(3)], rows)
+    pair = np.unique(row.astype(np.int64) * len(triangles) + owners)  # a triangle once a row
+    row, owners = pair // len(triangles), pair % len(triangles)
+    start = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=rows))])
+    return Grid(low, low + size * cell, np.asarray(cell), start, owners)  # pyright: ignore[reportArgumentType]
+
+
+def _hash(cell: list, rows: int) -> Any:
+    x, y, z = (c * np.uint32(p) for c, p in zip(cell, _PRIMES, strict=True))
+    return (x ^ y ^ z) & np.uint32(rows - 1)
+
+
+def _cells_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All cells that a triangle may meet, each with the triangle; lengths in cells.
+
+    They are those of the columns along the axis that the triangle faces most, as far as its plane goes through them.
+    """
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    up = np.argmax(np.abs(normal), axis=1)
+    axes = np.stack([(up + 1) % 3, (up + 2) % 3, up], axis=1)
+    corners = np.take_along_axis(corners, axes[:, None], axis=2)
+    normal = np.take_along_axis(normal, axes, axis=1)
+    first = np.floor(corners.min(axis=1) - _MARGIN)
+    last = np.floor(corners.max(axis=1) + _MARGIN)
+
+    wide = (last - first + 1).astype(np.int64)
+    owner, rank = _expand(wide[:, 0] * wide[:, 1])
+    column = first[owner, :2] + np.stack([rank % wide[owner, 0], rank // wide[owner, 0]], axis=1)
+    slope = normal[:, :2] / normal[:, 2:]
+    height = corners[owner, 0, 2] - np.sum(slope[owner] * (column + 0.5 - corners[owner, 0, :2]), axis=1)
+    reach = (0.5 + _MARGIN) * np.abs(slope).sum(axis=1)[owner] + _MARGIN
+    low = np.maximum(np.floor(height - reach), first[owner, 2])
+    high = np.minimum(np.floor(height + reach), last[owner, 2])
+
+    index, rank = _expand(np.maximum(high - low + 1, 0).astype(np.int64))
+    cell, owner = np.concatenate([column[index], (low[index] + rank)[:, None]], axis=1), owner[index]
+    placed = np.empty_like(cell)
+    np.put_along_axis(placed, axes[owner], cell, axis=1)
+    return placed.astype(np.int64), owner
+
+
+def _expand(number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each index as often as its number says, and how often it came before. **Raises:** `InputError` beyond all size."""
+    total = int(number.sum())
+    if total >= 2 * LARGEST:
+        raise InputError(f"triangles meet {total} cells; allowed: at most {LARGEST}, with sizes less unequal")
+    index = np.repeat(np.arange(len(number)), number)
+    return index, np.arange(total) - np.repeat(np.cumsum(number) - number, number)
+
+
+def first_entered(
+    grid: Grid,
+    corners_of,
+    start: Float[Array, "3"],
+    end: Float[Array, "3"],
+    left: Float[Array, ""],
+    wanted: Bool[Array, ""],
+) -> tuple[Int[Array, ""], Float[Array, ""]]:
+    """The triangle through which the straight way from `start` to `end` enters first, and where as a part of the way.
+
+    The triangle is -1 where there is none, or the search is not `wanted`. Nothing is differentiated here: the caller
+    has stopped all gradients.
+
+    **Arguments:** `corners_of(triangle)` (3, 3) m; `left` (m): a start on the surface counts where this is 0; else it
+    has left the surface, and entries within this distance of the start do not count.
+    """
+    way = end - start
+    walk = _Walk(grid, start, way)
+    length = jnp.sqrt(dot(way, way))
+    slack = rounding(start, end, grid)
+
+    def enter(triangle):
+        return _enters(corners_of(triangle), start, end, slack)
+
+    def one(carry):
+        cell, upcoming, offset, best, when, _ = carry
+        row = _hash([cell[i].astype(jnp.uint32) for i in range(3)], grid.start.shape[0] - 1).astype(jnp.int32)
+        first = grid.start[row].astype(jnp.int32)
+        number = grid.start[row + 1].astype(jnp.int32) - first
+        places = offset + jnp.arange(CHUNK, dtype=jnp.int32)
+        last = jnp.maximum(first + number - 1, 0)
+        triangles = grid.triangles[jnp.minimum(first + places, last)].astype(jnp.int32)
+        hit, touching, t = jax.vmap(enter)(triangles)
+        hit = (places < number) & jnp.where(left > 0, hit & (t * length > left), hit | touching)
+        t = jnp.where(hit, t, jnp.inf)
+        i = jnp.argmin(t)
+        best, when = jnp.where(t[i] < when, triangles[i], best), jnp.minimum(t[i], when)
+
+        more = offset + CHUNK < number
+        axis = jnp.argmin(upcoming)
+        going = more | ((upcoming[axis] <= walk.last) & (upcoming[axis] <= when))
+        crossed = (jnp.arange(3) == axis) & ~more
+        cell = jnp.where(crossed, cell + walk.direction, cell)
+        upcoming = jnp.where(crossed, upcoming + walk.stride, upcoming)
+        return cell, upcoming, jnp.where(more, offset + CHUNK, 0), best, when, going
+
+    none = jnp.full((), -1, jnp.int32)
+    zero = jnp.zeros((), jnp.int32)
+    begin = (walk.cell, walk.upcoming, zero, none, jnp.full((), jnp.inf, way.dtype), wanted & walk.meets)
+    _, _, _, best, when, _ = jax.lax.while_loop(lambda carry: carry[-1], one, begin)
+    return best, when
+
+
+def rounding(start: Float[Array, "3"], end: Float[Array, "3"], grid: Grid) -> Float[Array, ""]:
+    """A length (m) that is rounding error where these points and the mesh are."""
+    largest = jnp.max(jnp.abs(jnp.stack([start, end, grid.low, grid.high])))
+    return 32 * jnp.finfo(start.dtype).eps * largest
+
+
+class _Walk:
+    """Amanatides and Woo 1987: the cells on a way, one after another."""
+
+    def __init__(self, grid: Grid, start: Float[Array, "3"], way: Float[Array, "3"]):
+        moves = way != 0
+        inverse = jnp.where(moves, 1 / jnp.where(moves, way, 1), 0)
+        to_low, to_high = (grid.low - start) * inverse, (grid.high - start) * inverse
+        between = (grid.low <= start) & (start <= grid.high)
+        enter = jnp.where(moves, jnp.minimum(to_low, to_high), jnp.where(between, -jnp.inf, jnp.inf))
+        leave = jnp.where(moves, jnp.maximum(to_low, to_high), jnp.inf)
+        first = jnp.maximum(jnp.max(enter), 0)
+        self.last = jnp.minimum(jnp.min(leave), 1)
+        self.meets = first <= self.last
+        place = (start + jnp.where(self.meets, first, 0) * way - grid.low) / grid.cell
+        size = jnp.round((grid.high - grid.low) / grid.cell)
+        self.cell = jnp.clip(jnp.floor(jnp.where(self.meets, place, 0)), 0, size - 1).astype(jnp.int32)
+        self.direction = jnp.sign(way).astype(jnp.int32)
+        self.stride = grid.cell * jnp.abs(inverse)
+        ahead = self.cell + (way > 0).astype(jnp.int32)
+        border = grid.low + ahead.astype(way.dtype) * grid.cell
+        self.upcoming = jnp.where(moves, (border - start) * inverse, jnp.inf)
+
+
+def _enters(corners, start, end, slack) -> tuple[Bool[Array, ""], Bool[Array, ""], Float[Array, ""]]:
+    """Whether a way enters a triangle from outside, whether it starts on the triangle and goes inside, and where.
+
+    A line's side of an edge is computed from the same numbers for both triangles at the edge (Woop et al. 2013), with
+    a tolerance for their rounding: no way gets through between two triangles.
+    """
+    normal = area_normal(corners)
+    size = jnp.sqrt(dot(normal, normal))
+    before, after = dot(normal, start - corners[0]), dot(normal, end - corners[0])
+    seen, way = corners - start[None], end - start
+    following = jnp.roll(seen, -1, axis=0)
+    far = jnp.sqrt(dot(seen, seen))
+    eps = 32 * jnp.finfo(way.dtype).eps
+    wedge = jnp.cross(seen, following)
+    beside = eps * jnp.sqrt(dot(way, way)) * far * jnp.roll(far, -1)
+    pierced = jnp.all(dot(wedge, way[None]) <= beside)
+    edge = jnp.sqrt(dot(following - seen, following - seen))
+    above = jnp.all(dot(wedge, normal[None]) >= -slack * size * edge)
+    near = slack * size
+    inward = (after < 0) & (after < before)
+    t = jnp.clip(before / jnp.where(inward, before - after, 1), 0, 1)
+    return inward & (before >= -near) & pierced, (after < 0) & (jnp.abs(before) <= near) & above, t

@@ -1,0 +1,131 @@
+"""Which triangle of a mesh lies beside which, found once when the mesh is built; in NumPy."""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..errors import InputError
+
+SMALLEST_AREA = 1e-12  # m^2
+LARGEST = 2**24  # a float32 counts so far
+_ALLOWED = "allowed: a closed surface of triangles whose corners run counter-clockwise seen from outside"
+
+
+class Topology(eqx.Module):
+    """Neighbours in a mesh. Whole numbers, kept as floats so that a scene has numbers of one type.
+
+    `neighbours`: the triangle across the edges from corners 0, 1 and 2. `fan`: the triangles about each vertex, one
+    vertex after another; that of vertex v starts at `fan_start[v]`. `vertex_normals`: Baerentzen and Aanaes's
+    angle-weighted ones, units.
+    """
+
+    triangles: Float[Array, "T 3"]
+    neighbours: Float[Array, "T 3"]
+    fan_start: Float[Array, "V1"]
+    fan: Float[Array, "T3"]
+    vertex_normals: Float[Array, "V 3"]
+
+
+def checked(vertices: Any, triangles: Any, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices (V, 3) and the triangles (T, 3) of a closed surface.
+
+    **Raises:** `InputError` with one sentence that says what is wrong, in how many triangles, and in which first.
+    """
+    try:
+        points, faces = np.asarray(vertices, np.float64), np.asarray(triangles, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"vertices or triangles are no rows of three numbers; {_ALLOWED}") from None
+    for name, rows in (("vertices", points), ("triangles", faces)):
+        if rows.ndim != 2 or rows.shape[1] != 3 or len(rows) < 4:
+            raise InputError(
+                f"{name} have the shape {rows.shape}; allowed: at least four rows of three numbers"
+            )
+    if 3 * len(faces) >= LARGEST or len(points) >= LARGEST:
+        raise InputError(f"triangles are {len(faces)}; allowed: at most {LARGEST // 3}")
+    _refuse(~np.isfinite(points).all(axis=1), "vertices", "have a number that is not finite")
+    bad = (faces != np.round(faces)) | (faces < 0) | (faces >= len(points))
+    _refuse(
+        bad.any(axis=1), "triangles", f"have a corner that is no whole number from 0 to {len(points) - 1}"
+    )
+    faces = faces.astype(np.int64)
+
+    area = np.linalg.norm(_area_normals(points * scale, faces), axis=1) / 2
+    _refuse(area < SMALLEST_AREA, "triangles", f"have an area below {SMALLEST_AREA} m^2")
+    _, first, inverse, number = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
+    )
+    again = np.ones(len(faces), bool)
+    again[first] = False
+    _refuse(again, "triangles", "are there twice")
+    key, back = _edge_keys(faces, len(points))
+    flat = np.sort(key.ravel())
+    _refuse(
+        (np.searchsorted(flat, key, "right") - np.searchsorted(flat, key) > 1).any(axis=1),
+        "triangles",
+        "have an edge that another triangle has in the same direction (the winding is not consistent)",
+    )
+    _refuse(
+        ~np.isin(back, flat).any(axis=1) | ~np.isin(back, flat).all(axis=1),
+        "triangles",
+        "are beside a hole (the surface is not watertight)",
+    )
+    if _volume(points, faces) <= 0:
+        raise InputError(f"{len(faces)} of the triangles face inward, the first is 0; {_ALLOWED}")
+    return points, faces
+
+
+def topology(vertices: np.ndarray, triangles: np.ndarray) -> Topology:
+    """The neighbours of checked triangles."""
+    key, back = _edge_keys(triangles, len(vertices))
+    order = np.argsort(key, axis=None)
+    neighbours = order[np.searchsorted(key.ravel(), back, sorter=order)] // 3
+    corner = triangles.ravel()
+    fan = np.argsort(corner, kind="stable") // 3
+    fan_start = np.concatenate([[0], np.cumsum(np.bincount(corner, minlength=len(vertices)))])
+    return Topology(triangles, neighbours, fan_start, fan, vertex_normals(vertices, triangles))  # pyright: ignore
+
+
+def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Baerentzen and Aanaes 2005: the sum of the normals about a vertex, each times its triangle's angle there."""
+    normals = _area_normals(vertices, triangles)
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    total = np.zeros_like(vertices)
+    for i in range(3):
+        a, b, c = (vertices[triangles[:, (i + j) % 3]] for j in range(3))
+        sine = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        angle = np.arctan2(sine, np.sum((b - a) * (c - a), axis=1))
+        np.add.at(total, triangles[:, i], angle[:, None] * normals)
+    size = np.linalg.norm(total, axis=1, keepdims=True)
+    first = normals[np.clip(_first_fan(triangles, len(vertices)), 0, None)]
+    return np.where(size > 1e-9, total / np.where(size > 1e-9, size, 1), first)
+
+
+def _first_fan(triangles: np.ndarray, count: int) -> np.ndarray:
+    """A triangle of each vertex, -1 where it has none."""
+    first = np.full(count, -1)
+    first[triangles.ravel()] = np.repeat(np.arange(len(triangles)), 3)
+    return first
+
+
+def _area_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    return np.cross(b - a, c - a)
+
+
+def _edge_keys(triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """A number for each directed edge, and that of the same edge in the other direction."""
+    start, end = triangles, np.roll(triangles, -1, axis=1)
+    return start * count + end, end * count + start
+
+
+def _volume(vertices: np.ndarray, triangles: np.ndarray) -> float:
+    centred = vertices - vertices.mean(axis=0)
+    return float(np.sum(centred[triangles[:, 0]] * _area_normals(centred, triangles)) / 6)
+
+
+def _refuse(bad: Any, what: str, fault: str) -> None:
+    if bad.any():
+        first = int(np.flatnonzero(bad)[0])
+        raise InputError(f"{int(bad.sum())} of the {what} {fault}, the first is {first}; {_ALLOWED}")
