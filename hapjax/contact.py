@@ -215,19 +215,19 @@ def _edges_on(contact: Contact, gods: GodObject, a: Mover, b: Mover, dt: Float[A
     places = b.placed.to_world(found.point)
     slip = rotation.turn_back(b.placed.matrix, a.velocity_at(places) - b.velocity_at(places))
     depth = jnp.where(active, found.depth, 0)
-    near = SurfacePoint(
-        found.point + depth[:, None] * found.normal, found.normal, depth, jnp.zeros(depth.shape, jnp.int32)
-    )
     # The crossing wanders along both edges; what friction stretches is held by the material.
     offset = jnp.where((gods.depth > 0)[:, None], gods.point - dt * slip, 0)
 
-    def one(near, offset, sliding, speed):
+    def one(point, normal, depth, offset, sliding, speed):
+        near = SurfacePoint(point + depth * normal, normal, depth, jnp.zeros((), jnp.int32))
         rounding = 8 * jnp.finfo(speed.dtype).eps * jnp.max(jnp.abs(near.point))
         speed = speed if contact.needs_velocity() else None
         return god_object.press(contact, near, offset, sliding, speed, dt, rounding)
 
-    axes = (0, 0, None if gods.sliding is None else 0, 0)
-    offset, sliding, touch = jax.vmap(one, in_axes=axes)(near, offset, gods.sliding, slip)
+    axes = (0, 0, 0, 0, None if gods.sliding is None else 0, 0)
+    offset, sliding, touch = jax.vmap(one, in_axes=axes)(
+        found.point, found.normal, depth, offset, gods.sliding, slip
+    )
     seen = jnp.where(active, depth, jnp.where(found.admissible, jnp.minimum(found.depth, 0), 0))
     gods = GodObject(jnp.where(active[:, None], offset, 0), seen, sliding)
     return gods, touch, places, rotation.turn(b.placed.matrix, touch.force)

@@ -7,7 +7,13 @@ import pytest
 
 import hapjax
 
-SHAPES = {"plane": hapjax.Plane(), "sphere": hapjax.Sphere(0.04), "box": hapjax.Box((0.06, 0.1, 0.08))}
+SHAPES = {
+    "plane": hapjax.Plane(),
+    "sphere": hapjax.Sphere(0.04),
+    "box": hapjax.Box((0.06, 0.1, 0.08)),
+    "cylinder": hapjax.Cylinder(0.03, 0.08),
+    "capsule": hapjax.Capsule(0.03, 0.05),
+}
 
 
 def signed_distance(name, x):
@@ -16,7 +22,12 @@ def signed_distance(name, x):
         return x[..., 2]
     if name == "sphere":
         return np.linalg.norm(x, axis=-1) - 0.04
-    q = np.abs(x) - np.array([0.03, 0.05, 0.04])
+    if name == "capsule":
+        return np.linalg.norm(x - np.clip(x, (0, 0, -0.025), (0, 0, 0.025)), axis=-1) - 0.03
+    if name == "cylinder":
+        q = np.stack([np.hypot(x[..., 0], x[..., 1]) - 0.03, np.abs(x[..., 2]) - 0.04], axis=-1)
+    else:
+        q = np.abs(x) - np.array([0.03, 0.05, 0.04])
     return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(axis=-1), 0)
 
 
@@ -66,19 +77,28 @@ _gradients = [jax.jit(jacobian(_answer, (0, 1))) for jacobian in (jax.jacfwd, ja
         ("box", (0.03, 0.05, 0.04)),
         ("box", (0.01, 0.03, 0.02)),
         ("plane", (0, 0, 0)),
+        ("cylinder", (0, 0, 0)),
+        ("cylinder", (0, 0, 0.04)),
+        ("cylinder", (0.03, 0, 0)),
+        ("cylinder", (0, 0.03, 0.04)),
+        ("cylinder", (0, 0, 0.06)),
+        ("capsule", (0, 0, 0)),
+        ("capsule", (0, 0, 0.025)),
+        ("capsule", (0, 0, 0.055)),
+        ("capsule", (0, 0.03, 0.025)),
     ],
 )
 def test_singular_points_have_a_unit_normal_and_finite_gradients(name, point):
     shape, point = SHAPES[name], jnp.asarray(point, float)
     near = shape.closest(point)
-    on_corner = name == "box" and abs(float(near.depth)) == 0
+    on_corner = name in ("box", "cylinder") and abs(float(near.depth)) == 0
     assert np.linalg.norm(near.normal) == pytest.approx(1) or on_corner
 
     for gradient in _gradients:
         assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient(shape, point)))
 
 
-@pytest.mark.parametrize("name", ["sphere", "box"])
+@pytest.mark.parametrize("name", ["sphere", "box", "cylinder", "capsule"])
 def test_inertia_is_that_of_the_uniform_solid(name):
     # Midpoints of a fine grid; what is inside is the solid.
     axis = (np.arange(80) + 0.5) / 80 * 0.12 - 0.06

@@ -1,0 +1,258 @@
+"""Any two shapes against each other: they rest, they stack, they conserve momentum."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hapjax
+from helpers import G, away, matrix, moving, quaternion
+
+MASS = 0.05
+SLAB, BEAM = hapjax.Box((0.3, 0.3, 0.02)), hapjax.Box((0.2, 0.006, 0.01))
+ACROSS = hapjax.Box((0.02, 0.2, 0.01))
+BOX, BALL = hapjax.Box((0.06, 0.05, 0.04)), hapjax.Sphere(0.02)
+CYLINDER, CAPSULE = hapjax.Cylinder(0.02, 0.05), hapjax.Capsule(0.015, 0.05)
+LYING, LYING_X = quaternion((1, 0, 0), np.pi / 2), quaternion((0, 1, 0), np.pi / 2)
+UPRIGHT = (1.0, 0.0, 0.0, 0.0)
+TURNED = quaternion((0, 0, 1), 0.3)
+
+
+def over(upper, turn, lower, lower_turn, gap, stiffness=2e3, damping: float | None = 2.0, mu=0.5, substeps=2):
+    """A thing whose lowest point is `gap` above the origin's level, over a fixed one whose top is there."""
+    reach = _reach(upper, turn)
+    thing = hapjax.Object(upper, None, hapjax.Body(MASS), (0, 0, reach + gap), turn)
+    below = hapjax.Object(lower, None, None, (0, 0, -_reach(lower, lower_turn)), lower_turn)
+    pair = hapjax.Contact(stiffness, mu=mu, damping=damping, between=("it", "below"))
+    world = hapjax.World((0, 0, -G), gyroscopic=True)
+    integrator = hapjax.SemiImplicit(1e-3, substeps)
+    return hapjax.Scene({"it": thing, "below": below}, {"pair": pair}, None, world, integrator)
+
+
+def _reach(shape, turn):
+    """How far a shape reaches in z from its origin: by sampling directions of its own frame."""
+    up = matrix(turn)[2]
+    if isinstance(shape, hapjax.Plane):
+        return 0.0
+    if isinstance(shape, hapjax.Box):
+        return float(np.abs(up) @ np.asarray(shape.size) / 2)
+    if isinstance(shape, hapjax.Sphere):
+        return float(shape.radius)
+    along = abs(up[2]) * float(shape.length) / 2
+    return along + float(shape.radius) * (1 if isinstance(shape, hapjax.Capsule) else np.hypot(*up[:2]))
+
+
+RESTS = {
+    "box on a thin beam": (BOX, TURNED, BEAM, UPRIGHT, 4),
+    "box on a slab": (BOX, TURNED, SLAB, UPRIGHT, 4),
+    "box on a cylinder": (BOX, TURNED, hapjax.Cylinder(0.02, 0.2), LYING, 2),
+    "box on a capsule": (BOX, TURNED, hapjax.Capsule(0.02, 0.2), LYING, 2),
+    "ball on a slab": (BALL, UPRIGHT, SLAB, UPRIGHT, 1),
+    "cylinder upright on a slab": (CYLINDER, UPRIGHT, SLAB, UPRIGHT, 4),
+    "cylinder upright on a thin beam": (CYLINDER, TURNED, BEAM, UPRIGHT, None),
+    "cylinder lying on a slab": (CYLINDER, LYING, SLAB, UPRIGHT, 2),
+    "cylinder lying on a plane": (CYLINDER, LYING, hapjax.Plane(), UPRIGHT, 2),
+    "cylinder across a beam": (CYLINDER, LYING_X, ACROSS, UPRIGHT, 2),
+    "cylinder across a cylinder": (CYLINDER, LYING_X, hapjax.Cylinder(0.02, 0.2), LYING, 1),
+    "capsule on a plane": (CAPSULE, LYING, hapjax.Plane(), UPRIGHT, 2),
+    "capsule on a slab": (CAPSULE, LYING, SLAB, UPRIGHT, 2),
+    "capsule across a beam": (CAPSULE, LYING_X, ACROSS, UPRIGHT, 2),
+    "capsule across a capsule": (CAPSULE, LYING_X, hapjax.Capsule(0.02, 0.2), LYING, 1),
+    "capsule along a cylinder": (CAPSULE, LYING, hapjax.Cylinder(0.02, 0.2), LYING, 2),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", RESTS)
+def test_what_is_let_fall_on_something_rests_there(case):
+    upper, turn, lower, lower_turn, points = RESTS[case]
+    scene = over(upper, turn, lower, lower_turn, 2e-3)
+    hips = away(2500)
+    state, replies = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
+    motion, push = state.motion["it"], np.asarray(replies.contact["pair"].normal_force[-1])
+    assert np.abs(motion.velocity).max() < 1e-7 and np.abs(motion.spin).max() < 1e-6
+    assert push.sum() == pytest.approx(MASS * G, rel=1e-5)
+    count = np.count_nonzero(push)
+    assert points is None or count == points
+    sunk = _reach(upper, turn) - float(motion.position[2])
+    assert sunk == pytest.approx(MASS * G / (2e3 * count), rel=1e-4)
+
+
+def test_a_cube_falls_off_a_beam_that_is_not_under_its_centre():
+    scene = over(BOX, UPRIGHT, BEAM, UPRIGHT, 1e-3)
+    scene = eqx.tree_at(lambda s: s.object["below"].position, scene, replace_fn=lambda x: x.at[1].set(0.012))
+    hips = away(1000)
+    state, _ = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
+    assert state.motion["it"].position[2] < -0.1
+
+
+# Free against free ----------------------------------------------------------------------------------------
+
+FREE = {"box": BOX, "ball": BALL, "cylinder": CYLINDER, "capsule": CAPSULE}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("second", FREE)
+@pytest.mark.parametrize("first", FREE)
+def test_a_collision_keeps_momentum_and_angular_momentum(first, second):
+    bodies = hapjax.Body(0.1, inertia=(4e-5, 5e-5, 6e-5)), hapjax.Body(0.3, inertia=(2e-4, 1.5e-4, 1e-4))
+    turns = quaternion((1, 2, 3), 0.8), quaternion((2, -1, 1), 1.7)
+    objects = {
+        "a": hapjax.Object(FREE[first], None, bodies[0], (0, 0.004, 0.08), turns[0]),
+        "b": hapjax.Object(FREE[second], None, bodies[1], (0.003, 0, 0), turns[1]),
+    }
+    pair = hapjax.Contact(5e3, mu=0.5, damping=0.5, between=("a", "b"))
+    scene = hapjax.Scene(
+        objects, {"pair": pair}, None, hapjax.World(gyroscopic=True), hapjax.SemiImplicit(1e-4)
+    )
+    state = moving(hapjax.init(scene, away(1)[0]), "a", velocity=(0, 0, -0.6), spin=(3.0, -2.0, 4.0))
+    after, replies = hapjax.rollout(scene, state, away(1500))
+    assert np.max(replies.contact["pair"].normal_force) > 1
+    assert float(after.motion["b"].velocity[2]) < -0.05  # it was hit, and driven on
+
+    def momenta(state):
+        linear, angular = np.zeros(3), np.zeros(3)
+        for name, body in zip("ab", bodies, strict=True):
+            m = jax.tree.map(np.asarray, state.motion[name])
+            turn = matrix(m.orientation)
+            linear += float(body.mass) * m.velocity
+            angular += float(body.mass) * np.cross(m.position, m.velocity)
+            angular += turn @ (np.asarray(body.inertia) * (turn.T @ m.spin))
+        return linear, angular
+
+    (linear, angular), (linear_after, angular_after) = momenta(state), momenta(after)
+    assert linear_after == pytest.approx(linear, abs=1e-12)
+    # Semi-implicit Euler turns a spinning body's angular momentum a little, with or without a collision.
+    assert angular_after == pytest.approx(angular, abs=2e-3 * np.linalg.norm(angular))
+
+
+def test_names_in_the_other_order_are_the_same_contact():
+    paths = []
+    for between in (("it", "below"), ("below", "it")):
+        scene = over(BOX, TURNED, BEAM, UPRIGHT, 1e-3)
+        pair = hapjax.Contact(2e3, mu=0.5, damping=2.0, between=between)
+        scene = hapjax.Scene(scene.object, {"pair": pair}, None, scene.world, scene.integrator)
+        paths.append(hapjax.rollout(scene, hapjax.init(scene, away(1)[0]), away(300))[1].pose)
+    assert paths[0] == pytest.approx(np.asarray(paths[1]), abs=1e-9)
+
+
+# Stacks ---------------------------------------------------------------------------------------------------
+
+EDGE = 0.04
+
+
+def stack(yaw=0.0, dt=1e-3):
+    """Three 50 g cubes on each other on a floor; fingers feel the lowest."""
+    surface = hapjax.Surface(1000.0, mu=1.0, damping=1.0)
+    objects = {
+        f"cube{i}": hapjax.Object(
+            hapjax.Box((EDGE,) * 3),
+            surface if i == 0 else None,
+            hapjax.Body(MASS),
+            (0, 0, EDGE / 2 + i * EDGE),
+            quaternion((0, 0, 1), i * yaw) if yaw else UPRIGHT,
+        )
+        for i in range(3)
+    }
+    objects["floor"] = hapjax.Object(hapjax.Plane())
+    kind = dict(mu=0.6, damping=2.0)
+    contacts = {"on_floor": hapjax.Contact(2e3, between=("cube0", "floor"), **kind)}
+    for i in (1, 2):
+        contacts[f"cube{i}_on"] = hapjax.Contact(2e3, between=(f"cube{i}", f"cube{i - 1}"), **kind)
+    world = hapjax.World((0, 0, -G), gyroscopic=True)
+    return hapjax.Scene(objects, contacts, None, world, hapjax.SemiImplicit(dt))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("yaw", [0.0, 0.3])
+def test_a_stack_of_three_cubes_stands_for_ten_seconds(yaw):
+    scene = stack(yaw)
+    hips = away(10_000)
+    state, replies = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
+    pose = np.asarray(replies.pose)
+    assert np.abs(pose[-1] - pose[3000]).max() < 1e-9
+    assert np.abs(pose[-1, :, :2]).max() < 1e-6
+    for i, name in enumerate(scene.contact):
+        assert replies.contact[name].normal_force[-1].sum() == pytest.approx((3 - i) * MASS * G, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_two_fingers_that_lift_the_lowest_cube_carry_all_three():
+    scene = stack()
+    t = np.arange(4000) / 1000
+    squeeze = EDGE / 2 - 4e-3 * np.clip(t / 0.5, 0, 1)
+    height = EDGE / 2 + 0.03 * np.clip((t - 1) / 1, 0, 1)
+    hips = np.stack(
+        [np.stack([x, 0 * t, height], axis=-1) for x in (squeeze + 1e-3, -squeeze - 1e-3)], axis=1
+    )
+    state, replies = hapjax.rollout(scene, hapjax.init(scene, hips[0]), jnp.asarray(hips))
+    assert np.asarray(replies.contact["on_floor"].normal_force[-1]).sum() == 0  # off the floor
+    lifted = np.asarray(replies.pose)[-1, :, 2] - np.asarray(replies.pose)[900, :, 2]
+    assert lifted == pytest.approx(np.full(3, 0.03), abs=2e-3)
+    pull = np.asarray(replies.force)[-1, :, 2]
+    assert pull.sum() == pytest.approx(-3 * MASS * G, rel=1e-3)
+    assert replies.contact["cube1_on"].normal_force[-1].sum() == pytest.approx(2 * MASS * G, rel=1e-3)
+
+
+# Rolling --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("shape", "share"), [(hapjax.Cylinder(0.03, 0.05), 2 / 3), (hapjax.Capsule(0.03, 0.05), None)]
+)
+@pytest.mark.parametrize("below", [hapjax.Plane(), hapjax.Box((0.6, 0.6, 0.02))])
+def test_what_is_round_rolls_down_a_slope_without_a_bump(shape, share, below):
+    """A rolling thing falls with 1 / (1 + I / m r^2) of the pull along the slope; of a cylinder that is 2/3."""
+    slope = 0.2
+    ratio = float(shape.inertia_per_mass()[2]) / 0.03**2
+    share = 1 / (1 + ratio) if share is None else share
+    tilt = quaternion((0, 1, 0), slope)
+    turn = matrix(tilt)
+    top = 0.01 if isinstance(below, hapjax.Box) else 0.0
+    place = (top + 0.03 - MASS * G * np.cos(slope) / (2 * 2e4)) * turn[:, 2]
+    lying = quaternion((1, 0, 0), np.pi / 2)
+    w, x = tilt[0] * lying[0], tilt[0] * lying[1]
+    both = (w, x, tilt[2] * lying[0], -tilt[2] * lying[1])
+    thing = hapjax.Object(shape, None, hapjax.Body(MASS), place, both)
+    pair = hapjax.Contact(2e4, mu=0.6, damping=1.0, between=("it", "below"))
+    scene = hapjax.Scene(
+        {"it": thing, "below": hapjax.Object(below, orientation=tilt)},
+        {"pair": pair},
+        None,
+        hapjax.World((0, 0, -G)),
+        hapjax.SemiImplicit(2e-4),
+    )
+    hips = away(2000)
+    state, _ = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
+    speed = float(state.motion["it"].velocity @ jnp.asarray(turn[:, 0]))
+    assert speed == pytest.approx(share * G * np.sin(slope) * 0.4, rel=1e-2)
+
+
+# Restitution ----------------------------------------------------------------------------------------------
+
+
+def rebound(c, v):
+    """Speed after a bounce: e from c v - ln(1 + c v) = -c e v - ln(1 - c e v), which equates the springs' work."""
+    from scipy.optimize import brentq
+
+    def balance(e):
+        return (c * v - np.log1p(c * v)) - (-c * e * v - np.log1p(-c * e * v))
+
+    return v * brentq(balance, 0.0, min(1.0, (1 - 1e-12) / (c * v)))
+
+
+@pytest.mark.parametrize(("damping", "speed"), [(0.2, 0.5), (1.0, 0.5), (1.0, 2.0), (3.0, 1.0)])
+def test_restitution_is_what_the_loss_says(damping, speed):
+    """m v dv = -k d (1 + c v) dd, integrated on the way in and on the way out."""
+    ball = hapjax.Object(BALL, None, hapjax.Body(MASS, rotation=False), (0, 0, 0.02))
+    pair = hapjax.Contact(5e3, mu=0.0, damping=damping, between=("it", "floor"))
+    scene = hapjax.Scene(
+        {"it": ball, "floor": hapjax.Object(hapjax.Plane())},
+        {"pair": pair},
+        integrator=hapjax.SemiImplicit(1e-5),
+    )
+    state = moving(hapjax.init(scene, away(1)[0]), "it", velocity=(0, 0, -speed))
+    state, _ = hapjax.rollout(scene, state, away(4000))
+    assert state.motion["it"].velocity[2] == pytest.approx(rebound(damping, speed), rel=2e-3)
