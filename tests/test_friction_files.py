@@ -1,5 +1,7 @@
 """Friction laws in scene files: read, written, refused in one sentence; and what a contact makes of one."""
 
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 import hapjax
 from friction_cases import LAWS, TWO, surface
+from hapjax import friction
 from helpers import moving
 
 FILE = """
@@ -153,3 +156,13 @@ def test_a_sliding_block_is_slowed_by_the_law_of_its_contact(law):
     expected = (v0 + mu / b) * np.exp(-b * g * 0.1) - mu / b
     assert 0.2 < expected < 0.4
     assert float(end.motion["block"].velocity[0]) == pytest.approx(expected, abs=4e-3)
+
+
+def test_the_law_in_the_documentation_is_read(tmp_path):
+    page = (Path(__file__).resolve().parents[1] / "docs" / "friction.md").read_text()
+    shown = page.split("```toml\n")[1].split("```")[0]
+    box = '[object.cube]\nshape = "box"\nsize = [0.06, 0.06, 0.06]\n'
+    (tmp_path / "scene.toml").write_text(box + shown)
+    felt = hapjax.load_scene(tmp_path / "scene.toml").object["cube"].surface
+    assert felt is not None and isinstance(felt.friction, hapjax.LuGre) and felt.mu_static is not None
+    assert set(LAWS) == set(friction.LAWS) == {name for name in LAWS if f"\n| `{name}` |" in page}

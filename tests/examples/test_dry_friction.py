@@ -1,6 +1,7 @@
 """The dry friction example: on a real damper, on one of known numbers, on malformed files."""
 
 import json
+from pathlib import Path
 
 import dry_friction
 import numpy as np
@@ -57,6 +58,12 @@ def test_lugre_predicts_a_real_damper_better_than_coulomb_and_backlash_better_st
     assert paths["plot.png"].read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
     assert all(name in printed and f"{error[name]:.3f}" in printed for name in found)
+    page = (Path(dry_friction.__file__).parents[1] / "docs" / "friction.md").read_text()
+    for name, f in found.items():  # as the documentation tells
+        row = next(line for line in page.splitlines() if line.startswith(f"| {name} | {len(f.numbers)} |"))
+        assert [float(x) for x in row.split("|")[3:5]] == pytest.approx(
+            [f.mean("train"), f.mean("test")], abs=5e-3
+        )
 
 
 @pytest.mark.parametrize(
