@@ -17,7 +17,7 @@ from ..errors import InputError
 from ._topology import LARGEST
 from ._triangle import area_normal, dot
 
-CHUNK = 8
+CHUNK = 16  # triangles at a time; few rows have more
 _PRIMES = (73856093, 19349663, 83492791)
 _MARGIN = 0.01  # of a cell: by so much a triangle is taken larger than it is, so that rounding loses none
 
@@ -34,7 +34,7 @@ class Grid(eqx.Module):
     triangles: Float[Array, "E"]
 
 
-def grid_of(vertices: np.ndarray, triangles: np.ndarray) -> Grid:
+def grid_of(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Grid:
     """The grid of a mesh. **Raises:** `InputError` where its lists are longer than a float32 counts."""
     corners = vertices[triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
@@ -52,7 +52,8 @@ def grid_of(vertices: np.ndarray, triangles: np.ndarray) -> Grid:
     pair = np.unique(row.astype(np.int64) * len(triangles) + owners)  # a triangle once a row
     row, owners = pair // len(triangles), pair % len(triangles)
     start = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=rows))])
-    return Grid(low, low + size * cell, np.asarray(cell), start, owners)  # pyright: ignore[reportArgumentType]
+    parts = (low, low + size * cell, cell, start, owners)
+    return Grid(*(jnp.asarray(part, dtype) for part in parts))
 
 
 def _hash(cell: list, rows: int) -> Any:

@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -76,7 +77,7 @@ def checked(vertices: Any, triangles: Any, scale: float = 1.0) -> tuple[np.ndarr
     return points, faces
 
 
-def topology(vertices: np.ndarray, triangles: np.ndarray) -> Topology:
+def topology(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Topology:
     """The neighbours of checked triangles."""
     key, back = _edge_keys(triangles, len(vertices))
     order = np.argsort(key, axis=None)
@@ -84,7 +85,9 @@ def topology(vertices: np.ndarray, triangles: np.ndarray) -> Topology:
     corner = triangles.ravel()
     fan = np.argsort(corner, kind="stable") // 3
     fan_start = np.concatenate([[0], np.cumsum(np.bincount(corner, minlength=len(vertices)))])
-    return Topology(triangles, neighbours, fan_start, fan, vertex_normals(vertices, triangles))  # pyright: ignore
+    normals = vertex_normals(vertices, triangles)
+    parts = (triangles, neighbours, fan_start, fan, normals)
+    return Topology(*(jnp.asarray(part, dtype) for part in parts))
 
 
 def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:

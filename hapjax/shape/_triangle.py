@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 from .. import safe
 
 
-def dot(a: Float[Array, "*n 3"], b: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+def dot(a: Float[Array, "*#n 3"], b: Float[Array, "*#n 3"]) -> Float[Array, "*_"]:
     """Scalar product along the last axis."""
     return jnp.sum(a * b, axis=-1)
 
@@ -42,7 +42,9 @@ def weights(corners: Float[Array, "3 3"], part: Int[Array, ""]) -> Float[Array, 
     """The barycentric coordinates of the point of this part that is nearest to the origin."""
     normal = area_normal(corners)
     following, last = jnp.roll(corners, -1, axis=0), jnp.roll(corners, -2, axis=0)
-    inside = safe.divide(dot(jnp.cross(following, last), normal[None]), dot(normal, normal)[None])
+    inside = dot(jnp.cross(following, last), normal[None]) * safe.divide(
+        jnp.ones_like(normal[0]), dot(normal, normal)
+    )
     along = following - corners
     t = jnp.clip(safe.divide(-dot(corners, along), dot(along, along)), 0, 1)
     index = jnp.arange(3, dtype=jnp.int32)

@@ -6,9 +6,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ._grid import CHUNK
 from ._topology import Topology
 from ._triangle import area_normal, dot, nearest_part, nearest_point
+
+CHUNK = 8  # triangles at a time; few vertices have more
 
 
 def around(topology: Topology, vertex: Int[Array, ""], offset: Int[Array, ""]):

@@ -56,9 +56,8 @@ class Mesh(Shape):
         self.vertices = jnp.asarray(points, given.dtype if isinstance(given, jax.Array) else None)
         dtype = self.vertices.dtype
         self.scale = jnp.asarray(self.scale, dtype)
-        as_leaves = lambda tree: jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), tree)  # noqa: E731
-        self.topology = as_leaves(topology(points, faces))
-        self.grid = as_leaves(grid_of(points, faces))
+        self.topology = topology(points, faces, dtype)
+        self.grid = grid_of(points, faces, dtype)
         self.solid = solid_of(self.vertices[faces])
         self.shaded = flag("shaded")(shaded)
         self.file = file
@@ -86,8 +85,13 @@ class Mesh(Shape):
             return eqx.tree_at(lambda mesh: (mesh.vertices, mesh.solid), self, (vertices, solid))
         vertices = jnp.asarray(vertices, self.vertices.dtype)
         points, faces = checked(vertices, self.triangles, float(self.scale))
-        leaves = topology(points, faces), grid_of(points, faces), solid_of(vertices[faces])
-        leaves = jax.tree.map(lambda leaf: jnp.asarray(leaf, vertices.dtype), (vertices, *leaves))
+        dtype = vertices.dtype
+        leaves = (
+            vertices,
+            topology(points, faces, dtype),
+            grid_of(points, faces, dtype),
+            solid_of(vertices[faces]),
+        )
         moved = eqx.tree_at(lambda mesh: (mesh.vertices, mesh.topology, mesh.grid, mesh.solid), self, leaves)
         object.__setattr__(moved, "file", None)  # it is no longer what the file says
         return moved

@@ -1,0 +1,459 @@
+"""Meshes and convex polytopes against brute force, analytic shapes and SciPy."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+from jax.test_util import check_grads
+from scipy.optimize import lsq_linear
+
+import hapjax
+from hapjax.shape import _grid
+from meshes import TILT, distance, entries, icosphere, inside, notched, torus
+from test_structure import equations
+
+K = 800.0
+FORMS = {"notched": notched(), "torus": torus(), "sphere": icosphere(2, 0.04)}
+FORMS["notched"] = (FORMS["notched"][0] @ TILT.T, FORMS["notched"][1])
+
+
+@functools.cache
+def mesh_of(name):
+    return hapjax.Mesh(*FORMS[name])
+
+
+def as_type(mesh, dtype):
+    return jax.tree.map(lambda leaf: leaf.astype(dtype), mesh)
+
+
+@jax.jit
+def closest(shape, queries):
+    return jax.lax.map(shape.closest, queries, batch_size=500)
+
+
+@jax.jit
+def followed(shape, ways):
+    """The surface points at the end of each way (n, points, 3) m, and those of a follow from its point before last."""
+
+    def one(way):
+        track = shape.start(way[0]) if way.shape[0] == 2 else _outside(way[0])
+        return jax.lax.scan(lambda carry, point: shape.follow(carry, point), track, way[1:])[1]
+
+    return jax.lax.map(one, ways, batch_size=1000)
+
+
+def _outside(point):
+    return hapjax.shape.Track(point, jnp.zeros_like(point), jnp.zeros_like(point[0]))
+
+
+@jax.jit
+def dragged(shape, way):
+    """What holds a point on a way (T, 3) m that begins outside."""
+    return jax.lax.scan(lambda carry, point: shape.follow(carry, point), _outside(way[0]), way[1:])[1]
+
+
+# Closest points -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_closest_point_and_side_are_those_of_brute_force(name, dtype):
+    vertices, triangles = FORMS[name]
+    mesh = as_type(mesh_of(name), dtype)
+    rng = np.random.default_rng(0)
+    queries = np.concatenate(
+        [
+            rng.uniform(vertices.min(axis=0) - 0.01, vertices.max(axis=0) + 0.01, (400, 3)),
+            # about the vertices, where the normal of a neighbouring triangle alone gives the wrong side
+            vertices[rng.integers(len(vertices), size=400)] + rng.normal(0, 1e-4, (400, 3)),
+        ]
+    ).astype(dtype)
+    near = jax.tree.map(np.asarray, closest(mesh, jnp.asarray(queries)))
+    queries = queries.astype(float)
+    eps = float(jnp.finfo(dtype).eps)
+    truth = distance(vertices, triangles, queries)
+    clear = truth > 10 * eps
+    assert near.depth.dtype == dtype and clear.sum() > 790
+    np.testing.assert_allclose(np.abs(near.depth), truth, atol=eps)
+    assert np.array_equal(near.depth[clear] > 0, inside(vertices, triangles, queries[clear]))
+    np.testing.assert_allclose(np.linalg.norm(near.normal, axis=1), 1, atol=8 * eps)
+    np.testing.assert_allclose(np.sum(near.normal * (near.point - queries), axis=1), near.depth, atol=2 * eps)
+
+
+def singular_points():
+    vertices, triangles = FORMS["notched"]
+    a, b, c = vertices[triangles[5]]
+    return jnp.asarray(
+        [a, (a + b) / 2, (a + b + c) / 3, TILT @ [0.02, 0.02, 0.02], TILT @ [0.02, 0.02, 0.03]]
+    )
+
+
+@pytest.mark.slow
+def test_singular_points_have_a_unit_normal_and_finite_gradients():
+    mesh = mesh_of("notched")
+
+    def answer(query, scale, vertices):
+        moved = eqx.tree_at(lambda m: (m.scale, m.vertices), mesh, (scale, vertices))
+        near, (_, held) = moved.closest(query), moved.follow(_outside(query), query)
+        return jnp.concatenate([near.point, near.normal, near.depth[None], held.point, held.depth[None]])
+
+    near = closest(mesh, singular_points())
+    np.testing.assert_allclose(np.linalg.norm(near.normal, axis=1), 1, atol=1e-12)
+    np.testing.assert_allclose(near.depth, 0, atol=1e-16)
+    for jacobian in (jax.jacfwd, jax.jacrev):
+        slopes = jax.jit(jax.vmap(jacobian(answer, (0, 1, 2)), (0, None, None)))
+        for leaf in slopes(singular_points(), mesh.scale, mesh.vertices):
+            assert np.all(np.isfinite(leaf))
+
+
+# First touch ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["notched", "torus"])
+def test_first_touch_is_that_of_brute_force(name):
+    vertices, triangles = FORMS[name]
+    mesh = mesh_of(name)
+    rng = np.random.default_rng(1)
+    middle, size = vertices.mean(axis=0), np.ptp(vertices, axis=0).max()
+    start = middle + rng.uniform(-size, size, (3000, 3))
+    end = np.where(
+        rng.random((3000, 1)) < 0.5,
+        start + rng.normal(0, size / 20, (3000, 3)),
+        middle + rng.uniform(-size, size, (3000, 3)),
+    )
+
+    @jax.jit
+    def first(mesh, start, end):
+        zero, yes = jnp.zeros((), start.dtype), jnp.ones((), bool)
+
+        def one(a, b):
+            return _grid.first_entered(mesh.grid, mesh._corners, a, b, zero, yes)
+
+        return jax.vmap(one)(start, end)
+
+    found, when = first(mesh, jnp.asarray(start), jnp.asarray(end))
+    truth, at = entries(vertices, triangles, start, end)
+    assert (truth >= 0).sum() > 200 and (truth < 0).sum() > 200
+    np.testing.assert_array_equal(np.asarray(found), truth)
+    np.testing.assert_allclose(np.asarray(when), at, atol=1e-12)
+
+
+def approaches(vertices, triangles, count, seed):
+    """Ways of three points: outside; on a face, an edge, a vertex, or where it was; on from there, mostly inside."""
+    rng = np.random.default_rng(seed)
+    corners = vertices[triangles[rng.integers(len(triangles), size=count)]]
+    blend = rng.dirichlet([1, 1, 1], count)
+    kind = rng.integers(4, size=count)
+    share = rng.choice([0.5, 0.3], count)
+    blend[kind == 1] = np.stack([share, 1 - share, 0 * share], axis=1)[kind == 1]
+    blend[kind == 2] = [1, 0, 0]
+    target = np.einsum("ni,nij->nj", blend, corners)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    reach = rng.choice([1e-15, 1e-12, 1e-9, 1e-6, 1e-4, 2e-3], count)[:, None]
+    end = target - reach * (normal + rng.choice([0, 0.3, 3.0], count)[:, None] * rng.normal(size=(count, 3)))
+    start = target + rng.choice([1e-3, 0.1], count)[:, None] * (
+        normal + rng.choice([0.0, 0.5], count)[:, None] * rng.uniform(-1, 1, (count, 3))
+    )
+    between = np.where((kind == 3)[:, None], start, target)
+    free = ~inside(vertices, triangles, start)
+    return np.stack([start, between, end], axis=1)[free]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "number"), [("notched", np.float64), ("torus", np.float64), ("notched", np.float32)]
+)
+def test_no_approach_falls_through(name, number):
+    vertices, triangles = FORMS[name]
+    ways = approaches(vertices, triangles, 60_000, 2).astype(number)
+    held = followed(as_type(mesh_of(name), number), jnp.asarray(ways))
+    depth = np.asarray(held.depth[:, -1])
+    end = ways[:, -1].astype(float)
+    # Nearer than rounding there is no inside and outside.
+    deep = distance(vertices, triangles, end) > 8 * np.finfo(number).eps * 0.05
+    within = inside(vertices, triangles, end)
+    assert len(ways) > 50_000 and (deep & within).sum() > 30_000
+    assert np.sum(deep & within & (depth <= 0)) == 0
+    met = np.min(
+        [
+            entries(vertices, triangles, ways[:, i].astype(float), ways[:, i + 1].astype(float))[1]
+            for i in (0, 1)
+        ],
+        axis=0,
+    )
+    free = np.isinf(met) & deep & ~within & (distance(vertices, triangles, ways[:, 1].astype(float)) > 1e-6)
+    assert free.sum() > 50 and np.all(depth[free] == 0)
+
+
+def test_a_way_through_a_thin_plate_is_held_by_the_first_face():
+    plate = trimesh.creation.box((0.1, 0.1, 1e-5))
+    mesh = hapjax.Mesh(plate.vertices, plate.faces)
+    held = dragged(mesh, jnp.asarray([[0.01, 0.02, 0.003], [0.012, 0.02, -0.004], [0.03, 0.02, -0.004]]))
+    np.testing.assert_allclose(held.depth, 0.004 + 5e-6, rtol=1e-9)
+    np.testing.assert_allclose(held.normal, [[0, 0, 1]] * 2, atol=1e-12)
+
+
+def test_a_tiny_triangle_is_felt():
+    # One face of a cube with a triangle of 1.1e-12 m^2 in its middle.
+    cube = trimesh.creation.box((0.04, 0.04, 0.04))
+    vertices, triangles = np.asarray(cube.vertices), np.asarray(cube.faces)
+    top = np.flatnonzero(cube.face_normals[:, 2] > 0.9)[0]
+    a, b, c = triangles[top]
+    middle = vertices[[a, b, c]].mean(axis=0)
+    size = np.sqrt(1.1e-12 / (np.sqrt(3) / 4)) / np.sqrt(3)
+    angle = np.arctan2(*(vertices[a] - middle)[1::-1]) + np.arange(3) * 2 * np.pi / 3
+    tiny = middle + size * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    p, q, r = range(len(vertices), len(vertices) + 3)
+    ring = [[p, q, r], [a, b, q], [a, q, p], [b, c, r], [b, r, q], [c, a, p], [c, p, r]]
+    mesh = hapjax.Mesh(np.concatenate([vertices, tiny]), np.concatenate([np.delete(triangles, top, 0), ring]))
+    held = dragged(mesh, jnp.asarray([middle + [0, 0, 1e-3], middle - [0, 0, 2e-3]]))
+    assert held.face[-1] == 11
+    np.testing.assert_allclose(held.depth[-1], 2e-3, rtol=1e-9)
+
+
+# Contact --------------------------------------------------------------------------------------------------
+
+
+def test_a_concave_corner_holds_by_up_to_three_planes():
+    """Against SciPy's bounded least squares: the nearest point beyond three planes."""
+    mesh = mesh_of("notched")
+    rng = np.random.default_rng(3)
+    local = 0.02 + rng.uniform(-5e-3, 5e-3, (300, 3))
+    local = local[(local < 0.02).any(axis=1)]
+    start = np.broadcast_to(TILT @ [0.03, 0.03, 0.03], local.shape)
+    held = followed(mesh, jnp.asarray(np.stack([start, start, local @ TILT.T], axis=1)))
+    held = jax.tree.map(lambda leaf: np.asarray(leaf[:, -1]), held)
+    counts = np.sum(local < 0.02, axis=1)
+    assert set(counts) == {1, 2, 3}
+    for i, point in enumerate(local):
+        truth = lsq_linear(TILT, TILT @ point, bounds=(0.02, np.inf), tol=1e-15, method="bvls").x
+        np.testing.assert_allclose(TILT.T @ held.point[i], truth, atol=1e-12)
+        depth = np.maximum(0.02 - point, 0)
+        assert held.depth[i] == pytest.approx(np.linalg.norm(depth), rel=1e-9)
+        # Each plane carries the force that its own spring would.
+        share = held.corner.weights[i][:, None] * held.corner.normals[i] * held.depth[i]
+        np.testing.assert_allclose(TILT.T @ share.sum(axis=0), depth, atol=1e-12)
+        assert np.sum(held.corner.weights[i] > 0) == counts[i]
+        np.testing.assert_allclose(
+            np.sort(np.abs(held.corner.weights[i] * held.depth[i]))[::-1], np.sort(depth)[::-1], atol=1e-12
+        )
+
+
+def test_friction_holds_on_both_walls_of_a_corner():
+    """A finger pressed equally into two walls at a right angle, pulled along their line."""
+    press, mu = 1e-3, 0.8
+    surface = hapjax.Surface(K, mu_static=mu, mu_kinetic=0.5)
+    scene = hapjax.Scene({"notched": hapjax.Object(mesh_of("notched"), surface)})
+    pull = np.concatenate([[0], np.linspace(0, 2 * mu * press * 1.05, 106)])
+    local = np.stack([0 * pull + 0.02 - press, 0 * pull + 0.02 - press, 0.025 + pull], axis=1)
+    local[0] = [0.025, 0.025, 0.025]
+    hips = jnp.asarray(local @ TILT.T)[:, None]
+    _, reply = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips[1:])
+    force = np.asarray(reply.force[:, 0]) @ TILT
+    np.testing.assert_allclose(force[:, :2], K * press, rtol=1e-9)
+    stuck = pull[1:] < 2 * mu * press * (1 - 1e-9)
+    np.testing.assert_allclose(force[stuck, 2], -K * pull[1:][stuck], atol=1e-9)
+    assert -force[stuck, 2].min() > 0.98 * mu * 2 * K * press
+    assert -force[-1, 2] == pytest.approx(0.5 * 2 * K * press, rel=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radius", [0.005, 0.05])
+def test_a_finger_on_a_tessellated_sphere_feels_a_sphere(radius):
+    """Steps of the force, and its distance to that of the ball.
+
+    The mesh lies between the radii R - e and R. The held point c of a query at depth D is no farther than D, so with
+    |c| >= R - e its angle from the ball's point is at most sqrt(2 e D / ((R - e) (R - D))).
+    """
+    vertices, triangles = icosphere(4, radius)
+    mesh = hapjax.Mesh(vertices, triangles)
+    assert len(triangles) == 5120
+    s = np.linspace(0, 1, 6000)
+    depth = radius * np.where(s < 0.2, s / 2 - 0.02, 0.08)
+    angle = 5 * s
+    way = np.stack([np.cos(angle) * np.cos(2 * s), np.sin(angle) * np.cos(2 * s), np.sin(2 * s)], axis=1)
+    way *= (radius - depth)[:, None]
+    held = dragged(mesh, jnp.asarray(way))
+    force = K * np.asarray(held.normal * held.depth[:, None])
+    steps = np.linalg.norm(np.diff(force, axis=0), axis=1)
+    assert np.all(steps <= K * np.linalg.norm(np.diff(way[1:], axis=0), axis=1) * (1 + 1e-6) + 1e-12)
+    e = radius - np.linalg.norm(vertices[triangles].mean(axis=1), axis=1).min()
+    d = np.maximum(depth[1:], 0)
+    bound = e + radius * np.sqrt(2 * e * d / ((radius - e) * (radius - d)))
+    ball = K * d[:, None] * way[1:] / np.linalg.norm(way[1:], axis=1, keepdims=True)
+    assert np.all(np.linalg.norm(force - ball, axis=1) <= K * bound * (1 + 1e-9))
+    assert np.linalg.norm(force[-1]) > 0.9 * K * d[-1]
+
+
+@pytest.mark.slow
+def test_shading_turns_the_force_towards_the_balls():
+    vertices, triangles = icosphere(2, 0.04)
+    way = jnp.asarray(np.linspace([0.045, 0.004, 0.002], [0.034, 0.013, 0.009], 400))
+    plain, shaded = (dragged(hapjax.Mesh(vertices, triangles, shaded=s), way) for s in (False, True))
+    touching = np.asarray(plain.depth) > 0
+    assert touching.sum() > 100
+
+    def error(held):
+        point = np.asarray(held.point)[touching]
+        return np.linalg.norm(
+            np.asarray(held.normal)[touching] - point / np.linalg.norm(point, axis=1)[:, None], axis=1
+        )
+
+    assert error(shaded).max() < 0.3 * error(plain).max()
+    np.testing.assert_allclose(
+        np.asarray(shaded.depth)[touching], np.asarray(plain.depth)[touching], atol=2e-5
+    )
+
+
+@pytest.mark.slow
+def test_a_triangle_can_have_a_mu_of_its_own():
+    mesh = mesh_of("sphere")
+    mu = jnp.zeros(len(mesh.faces)).at[7].set(0.5)
+    scene = hapjax.Scene({"ball": hapjax.Object(mesh, hapjax.Surface(K, mu))})
+    corners = FORMS["sphere"][0][FORMS["sphere"][1][7]]
+    aim = corners.mean(axis=0)
+    slip = (corners[1] - corners[0]) / 10
+    hips = jnp.asarray([1.1 * aim, 0.99 * aim, 0.99 * aim + slip])[:, None]
+    _, reply = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
+    touch = reply.touch["ball"]
+    assert float(jnp.linalg.norm(touch.friction_force[-1, 0])) == pytest.approx(
+        0.5 * float(touch.normal_force[-1, 0])
+    )
+
+
+# Derivatives ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("local", [(0.015, 0.03, 0.033), (0.018, 0.017, 0.03), (0.018, 0.017, 0.016)])
+def test_gradients_are_those_of_differences(local):
+    """On a plane, in a concave edge and in a concave corner."""
+    mesh = mesh_of("notched")
+    start, query = jnp.asarray(TILT @ [0.03, 0.031, 0.032]), jnp.asarray(TILT @ local)
+
+    @jax.jit
+    def answer(query, scale, vertices):
+        moved = eqx.tree_at(lambda m: (m.scale, m.vertices), mesh, (scale, vertices))
+        _, held = moved.follow(_outside(start), query)
+        share = jnp.sum(held.corner.weights)  # in the order of the planes there is no meaning
+        return jnp.concatenate([held.point, held.normal, jnp.stack([held.depth, share])])
+
+    at = (query, mesh.scale, mesh.vertices)
+    forward = jax.jacfwd(answer, (0, 1, 2))(*at)
+    reverse = jax.jacrev(answer, (0, 1, 2))(*at)
+    rng = np.random.default_rng(4)
+    for i, point in enumerate(at):
+        np.testing.assert_allclose(forward[i], reverse[i], atol=1e-9)
+        # What is flat stays flat: where a plane breaks up into two, which of them hold is no smooth matter.
+        ways = rng.normal(size=(3, 3)), rng.normal(), rng.normal(size=(3, 3))
+        way = jnp.asarray(point @ ways[i] if i != 1 else ways[i])
+        sides = [answer(*at[:i], point + h * way, *at[i + 1 :]) for h in (1e-7, -1e-7)]
+        slope = np.tensordot(np.asarray(forward[i]), np.asarray(way), point.ndim)
+        np.testing.assert_allclose(slope, (sides[0] - sides[1]) / 2e-7, atol=1e-4, rtol=1e-5)
+    assert all(np.any(np.asarray(leaf) != 0) for leaf in forward)
+
+
+# The solid ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_volume_centre_and_inertia_are_trimeshs(name):
+    vertices, triangles = FORMS[name]
+    truth = trimesh.Trimesh(vertices, triangles, process=False)
+    mesh = eqx.tree_at(lambda m: m.scale, mesh_of(name), jnp.asarray(2.0))
+    assert float(mesh.volume()) == pytest.approx(8 * truth.volume)
+    np.testing.assert_allclose(mesh.centre(), 2 * truth.center_mass, atol=1e-12)
+    np.testing.assert_allclose(mesh.inertia_per_mass() * truth.volume, 4 * truth.moment_inertia, atol=1e-14)
+
+
+def test_the_solid_is_differentiable_in_the_vertices():
+    mesh = mesh_of("notched")
+    check_grads(
+        lambda v: (mesh.moved(v).centre(), 1e3 * mesh.moved(v).inertia_per_mass()),
+        (mesh.vertices,),
+        1,
+        rtol=1e-4,
+    )
+
+
+def test_a_body_of_a_mesh_turns_about_its_own_centre():
+    mesh = mesh_of("notched")
+    body = hapjax.Body.of_density(mesh, 1000.0)
+    assert float(body.mass) == pytest.approx(7 * 0.02**3 * 1000)
+    scene = hapjax.Scene({"stone": hapjax.Object(mesh, None, body)}, world=hapjax.World(gyroscopic=True))
+    hips = jnp.full((300, 1, 3), 1.0)
+    state = hapjax.init(scene, hips[0])
+    state = eqx.tree_at(lambda s: s.motion["stone"].spin, state, jnp.asarray([3.0, 1.0, -2.0]))
+    _, reply = hapjax.rollout(scene, state, hips)
+    pose = np.asarray(reply.pose[:, 0])
+    turned = hapjax.rotation.to_matrix(jnp.asarray(pose[-1, [3, 4, 5, 6]]))
+    assert np.linalg.norm(pose[-1, :3]) > 5e-3
+    np.testing.assert_allclose(pose[-1, :3] + turned @ mesh.centre(), mesh.centre(), atol=1e-12)
+
+
+# Convex polytopes -----------------------------------------------------------------------------------------
+
+
+def test_a_convex_hull_of_a_boxs_corners_is_the_box():
+    box = hapjax.Box((0.06, 0.04, 0.02))
+    corners = [(x, y, z) for x in (0.03, -0.03) for y in (0.02, -0.02) for z in (0.01, -0.01)]
+    hull = hapjax.Convex([*corners, (0.01, 0.0, 0.0)])
+    assert hull.vertices.shape == (8, 3) and len(hull.faces) == 6
+    queries = jnp.asarray(np.random.default_rng(5).uniform(-0.04, 0.04, (500, 3)))
+    ours, truth = closest(hull, queries), closest(box, queries)
+    np.testing.assert_allclose(ours.depth, truth.depth, atol=1e-15)
+    np.testing.assert_allclose(ours.point, truth.point, atol=1e-12)
+    # The flat faces under other numbers.
+    named = np.asarray(hull.face_normals())[np.asarray(ours.face)]
+    flat = np.asarray(truth.depth) > 0
+    np.testing.assert_allclose(named[flat], np.asarray(ours.normal)[flat], atol=1e-12)
+    assert float(hull.volume()) == pytest.approx(0.06 * 0.04 * 0.02)
+    np.testing.assert_allclose(hull.inertia_per_mass(), np.diag(box.inertia_per_mass()), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "points", [[[0, 0, 0]] * 5, [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], "box", [[1.0, 2]]]
+)
+def test_points_without_a_hull_are_refused(points):
+    with pytest.raises(hapjax.InputError, match="allowed: at least four points"):
+        hapjax.Convex(points)
+
+
+# The price ------------------------------------------------------------------------------------------------
+
+
+def test_a_step_has_as_many_equations_whatever_the_size():
+    def program(mesh):
+        return jax.make_jaxpr(lambda m, t, q: m.follow(t, q))(
+            mesh, _outside(jnp.zeros(3)), jnp.zeros(3)
+        ).jaxpr
+
+    assert equations(program(mesh_of("notched"))) == equations(program(hapjax.Mesh(*icosphere(3, 0.04))))
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (lambda v, t: (v, t[1:]), "3 of the triangles are beside a hole"),
+        (lambda v, t: (v, t[:, ::-1]), "48 of the triangles face inward"),
+        (lambda v, t: (v, np.concatenate([t[:1, ::-1], t[1:]])), "the winding is not consistent"),
+        (lambda v, t: (v * 1e-5, t), "48 of the triangles have an area below 1e-12 m"),
+        (
+            lambda v, t: (v, np.concatenate([t, t[4:5]])),
+            "1 of the triangles are there twice, the first is 48",
+        ),
+        (
+            lambda v, t: (np.where(v == v[3], np.nan, v), t),
+            "of the vertices have a number that is not finite",
+        ),
+        (lambda v, t: (v, t + 1), "of the triangles have a corner that is no whole number from 0 to 25"),
+        (lambda v, t: (v[:, :2], t), r"vertices have the shape \(26, 2\)"),
+    ],
+)
+def test_a_faulty_surface_is_refused(change, fault):
+    with pytest.raises(hapjax.InputError, match=fault):
+        hapjax.Mesh(*change(*notched()))
