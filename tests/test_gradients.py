@@ -22,6 +22,7 @@ compiled = functools.partial(
     jax.jit, compiler_options={"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 )
 GRAVITY = hapjax.World(gravity=(0.1, -0.2, -G), gyroscopic=True)
+TURNED_Z, LYING = quaternion((0, 0, 1), 0.3), quaternion((1, 0.2, 0), np.pi / 2)
 TURNED, PLACE = quaternion((1, 2, -1), 0.3), np.array([0.01, 0.02, 0.005])
 TURN = matrix(TURNED)
 
@@ -53,11 +54,23 @@ def slip():
             hapjax.Surface(800.0, mu=np.arange(3, 9) / 10),
             np.array([0, 0, 2.0]),
         ),
+        "cylinder": (
+            hapjax.Cylinder(0.03, 0.1),
+            hapjax.Surface(800.0, mu=0.5, damping=1.0),
+            np.array([0, 0, 0.4]),
+        ),
+        "capsule": (
+            hapjax.Capsule(0.03, 0.05),
+            hapjax.Surface(800.0, mu=0.5, tangential_stiffness=600.0, anisotropy=0.7, grain=(0.2, 1.0, 0.3)),
+            np.array([0, 0, 0.7]),
+        ),
     }
     paths = [
         glide([0.01, 0.02, -1e-3], [0, 0, -1e-3], [2e-2, 1e-2, 0], [0, 0, 2e-4], [-6e-3, -3e-3, 0]),
         glide([0.01, 0.02, 0.042], [0.01, 0, -1e-3], [0.01, -0.01, -5e-3], [-0.01, -0.01, 1e-3]),
         glide([0.01, 0.01, 0.048], [0.01, 0, -1e-3], [-0.01, -0.02, 0], [-0.01, 5e-3, 1e-3]),
+        glide([0.024, 0.016, 0.01], [-2e-3, -1e-3, 0.01], [-0.01, 0.012, -5e-3], [1e-3, 1e-3, 0.01]),
+        glide([0.024, 0.016, 0.01], [-2e-3, -1e-3, 0.01], [-0.01, 0.01, 5e-3], [1e-3, 1e-3, 5e-3]),
     ]
     objects, hips = {}, []
     for (name, (shape, surface, height)), path in zip(shapes.items(), paths, strict=True):
@@ -111,6 +124,28 @@ def ball_on_floor():
     return scene, moving(hapjax.init(scene, hips[0]), "it", velocity=(0.3, 0.1, 0.0)), hips
 
 
+def stack():
+    """A box lies turned across a fixed thin beam, whose edges cross its own; a free capsule lies across the box."""
+    kind = dict(mu=0.4, damping=2.0)
+    scene = hapjax.Scene(
+        object={
+            "it": hapjax.Object(
+                hapjax.Box((0.06, 0.05, 0.04)), None, hapjax.Body(0.2), (0, 0, 0.0248), TURNED_Z
+            ),
+            "beam": hapjax.Object(hapjax.Box((0.2, 0.006, 0.01))),
+            "rod": hapjax.Object(hapjax.Capsule(0.01, 0.09), None, hapjax.Body(0.05), (0, 0, 0.0547), LYING),
+        },
+        contact={
+            "pair": hapjax.Contact(4000.0, between=("it", "beam"), **kind),
+            "above": hapjax.Contact(3000.0, between=("rod", "it"), **kind),
+        },
+        world=hapjax.World((0.1, -0.2, -G)),
+        integrator=hapjax.SemiImplicit(2e-4),
+    )
+    hips = np.full((STEPS, 1, 3), 5.0)
+    return scene, moving(hapjax.init(scene, hips[0]), "it", velocity=(0.02, 0.01, 0.0)), hips
+
+
 def gravity_drop(**law):
     """Two fingers hold a box above its centre; it swings about their line with what torsion leaves of the torque."""
     box = hapjax.Object(
@@ -135,7 +170,14 @@ def gravity_drop(**law):
 # Each case with the numbers of its scene that have no say in it.
 CASES = {
     "stick": (stick, {".object['it'].surface.mu"}),
-    "slip": (slip, {".object['ball'].orientation", ".object['ball'].surface.mu_static"}),
+    "slip": (
+        slip,
+        {
+            ".object['ball'].orientation",
+            ".object['ball'].surface.mu_static",
+            ".object['cylinder'].shape.length",
+        },
+    ),
     "grasp": (functools.partial(grasp, mu=0.9), {".object['it'].surface.mu", ".world.dead_band"}),
     "floor": (functools.partial(floor, mu=0.4), set()),
     "floor, kinetic": (
@@ -143,6 +185,7 @@ CASES = {
         {".contact['pair'].mu_static"},
     ),
     "ball on the floor": (ball_on_floor, set()),
+    "stack": (stack, set()),
     "gravity drop, kinetic": (
         functools.partial(gravity_drop, mu_static=0.9, mu_kinetic=0.7),
         {".object['it'].surface.mu_kinetic"},
@@ -150,13 +193,14 @@ CASES = {
 }
 
 
-def restart(scene, state):
-    """The state with its objects where the scene puts them, so that their places are differentiated too."""
-    hip = jnp.full((1, 3), 9.0)
-    fresh = hapjax.init(eqx.tree_at(lambda s: s.integrator, scene, hapjax.SemiImplicit()), hip)
-    for name, motion in fresh.motion.items():
-        state = moving(state, name, position=motion.position, orientation=motion.orientation)
-    return state
+def restart(scene, state, hip):
+    """The start of a scene with the state's velocities, so that what depends on places is differentiated too."""
+    fresh = hapjax.init(scene, hip)
+    for name, motion in state.motion.items():
+        fresh = moving(fresh, name, velocity=motion.velocity)
+        if motion.spin is not None:
+            fresh = moving(fresh, name, spin=motion.spin)
+    return fresh
 
 
 def _scale(leaf):
@@ -173,7 +217,7 @@ def function_of(case):
 
     def f(x):
         now = unravel(flat + scales * x)
-        _, replies = hapjax.rollout(now, restart(now, state), hips)
+        _, replies = hapjax.rollout(now, restart(now, state, hips[0]), hips)
         force = replies.force.reshape(STEPS, -1)
         sums = [rows[0] @ force @ jnp.cos(jnp.arange(force.shape[1], dtype=float))]
         if replies.pose.size:
