@@ -13,7 +13,7 @@ import hapjax
 from hapjax.body import Motion, Wrench
 from helpers import G, angle_between, at_rest, away, matrix, moving, order, quaternion
 
-METHODS = [hapjax.SemiImplicit, hapjax.SemiImplicitMatrix]
+METHODS = [hapjax.SemiImplicit, hapjax.SemiImplicitMatrix, hapjax.PivotForm]
 STEPS = [2e-3, 1e-3, 5e-4, 2.5e-4]
 FINGER = hapjax.Surface(800.0, mu=2.0)
 
@@ -161,3 +161,103 @@ def test_the_matrix_form_goes_on_with_the_nearer_quaternion():
         after = advance(motion)
         assert jnp.sum(after.orientation * motion.orientation) > 0.99
         motion = after
+
+
+# A pivot near the contacts --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("gyroscopic", [True, False])
+def test_the_pivot_form_solves_the_spatial_inertia_at_the_pivot(gyroscopic):
+    """One step against the 6 x 6 system of momentum balances about the pivot."""
+    rng = np.random.default_rng(8)
+    inertia, mass, dt = np.array([1.0, 2.0, 2.5]) * 1e-4, 0.3, 1e-3
+    orientation = quaternion((1, 2, -1), 0.8)
+    body = hapjax.Body(mass, inertia, CENTRE)
+    sizes = np.array([[0.1, 1, 5, 1, 0.1, 0.1]]).T
+    position, velocity, spin, force, torque, pivot = rng.standard_normal((6, 3)) * sizes
+    motion = Motion(*map(jnp.asarray, (position, np.array(orientation), velocity, spin)))
+    wrench = Wrench(jnp.asarray(force), jnp.asarray(torque))
+    after = hapjax.PivotForm().advance(
+        body, hapjax.Box((0.1,) * 3), motion, wrench, gyroscopic, None, jnp.asarray(dt), jnp.asarray(pivot)
+    )
+    turn = matrix(orientation)
+    world = turn @ np.diag(inertia) @ turn.T
+    arm = position + turn @ CENTRE - pivot
+
+    def cross(v):
+        return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+    spatial = np.block(
+        [[mass * np.eye(3), -mass * cross(arm)], [mass * cross(arm), world - mass * cross(arm) @ cross(arm)]]
+    )
+    bias = mass * np.cross(spin, np.cross(spin, arm))
+    own = np.cross(spin, world @ spin) if gyroscopic else np.zeros(3)
+    right = np.concatenate([force - bias, torque + np.cross(arm, force) - own - np.cross(arm, bias)])
+    acceleration = np.linalg.solve(spatial, right)
+    assert after.spin == pytest.approx(spin + dt * acceleration[3:], rel=1e-9)
+    turned = Rotation.from_rotvec(dt * np.asarray(after.spin)).as_matrix()
+    at_pivot = velocity - np.cross(spin, arm) + dt * acceleration[:3]
+    assert after.velocity == pytest.approx(at_pivot + np.cross(after.spin, turned @ arm), rel=1e-9)
+    assert matrix(after.orientation) == pytest.approx(turned @ turn, abs=1e-12)
+    place = pivot + dt * at_pivot + turned @ (position - pivot)
+    assert after.position == pytest.approx(place, abs=1e-12)
+
+
+ROD, HELD, DEEP, SWING = (0.2, 0.02, 0.02), np.array([-0.08, 0.0]), 2e-3, 0.3
+PINCH = np.array([[-0.08, 0.008, 0.0], [-0.08, -0.008, 0.0]])
+
+
+def rod(method):
+    thing = hapjax.Object(hapjax.Box(ROD), hapjax.Surface(800.0, mu=20.0), hapjax.Body(0.05))
+    return hapjax.Scene(object={"it": thing}, world=hapjax.World(gravity=(0, 0, -G)), integrator=method())
+
+
+@functools.cache
+def swung_rod():
+    """x, z and tilt of a rod that swings on two springs which hold a point of it, by Dormand-Prince of order 8."""
+    mass, stiffness, inertia = 0.05, 1600.0, 0.05 * (ROD[0] ** 2 + ROD[2] ** 2) / 12
+
+    def rate(_, y):
+        cosine, sine = np.cos(y[2]), np.sin(y[2])
+        arm = np.array([cosine * HELD[0], -sine * HELD[0]])  # a tilt about +y takes x down
+        force = stiffness * (HELD - y[:2] - arm)
+        torque = arm[1] * force[0] - arm[0] * force[1]
+        return [*y[3:], force[0] / mass, force[1] / mass - G, torque / inertia]
+
+    return solve_ivp(rate, (0, SWING), np.zeros(6), method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+
+
+@pytest.mark.parametrize("method", [hapjax.SemiImplicit, hapjax.PivotForm])
+def test_a_rod_held_at_one_end_swings_as_on_springs(method):
+    truth, errors = swung_rod(), []
+    assert abs(truth[2]) > 1
+    steps = [1e-3, 5e-4, 2.5e-4, 1.25e-4]
+    for dt in steps:
+        end = run(rod(method), SWING, dt, PINCH)
+        tilt = 2 * np.arctan2(end.orientation[2], end.orientation[0])
+        off = [end.position[0] - truth[0], end.position[2] - truth[1], 0.1 * (tilt - truth[2])]
+        errors.append(np.max(np.abs(off)))
+    assert order(steps, errors) == pytest.approx(1, abs=0.15) and errors[-1] < 2e-3
+
+
+@pytest.mark.slow
+def test_the_pivot_form_is_differentiable_in_where_it_is_held():
+    scene = rod(hapjax.PivotForm)
+
+    @jax.jit
+    def last(shift):
+        hips = jnp.asarray(PINCH) + jnp.stack([shift, 0 * shift, 0 * shift])[None]
+        state, _ = hapjax.rollout(scene, hapjax.init(scene, hips), at_rest(hips, 50), 1e-3)
+        return state.motion["it"].position
+
+    at, eps = jnp.asarray(0.001), 1e-6
+    forward, reverse = np.asarray(jax.jacfwd(last)(at)), np.asarray(jax.jacrev(last)(at))
+    numeric = (np.asarray(last(at + eps)) - np.asarray(last(at - eps))) / (2 * eps)
+    assert forward == pytest.approx(numeric, rel=1e-5, abs=1e-8) and np.abs(forward).max() > 1e-3
+    assert reverse == pytest.approx(forward, rel=1e-9, abs=1e-14)
+
+
+def test_in_the_air_the_pivot_is_the_centre_of_mass():
+    ends = [run(top(method), 0.2, 1e-3, spin=SPIN, velocity=(0.2, 0, 0.1)) for method in METHODS[::2]]
+    for first, second in zip(*map(jax.tree.leaves, ends), strict=True):
+        assert first == pytest.approx(np.asarray(second), abs=1e-13)

@@ -1,0 +1,76 @@
+"""Each example runs as its page says, prints its claim, and writes its plot."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+NUMBER = r"(-?[0-9.]+(?:e[-+]?[0-9]+)?)"
+
+# What is printed, and between which numbers.
+CLAIMS = {
+    "three_finger_lift": [
+        (rf"carried at the top: {NUMBER} N", 1.96, 1.964),
+        (rf"put down at {NUMBER} mm", 29.8, 30),
+    ],
+    "self_stabilising_grasp": [(rf"residual force {NUMBER} N", 0, 1e-8), (rf"torque {NUMBER} N m", 0, 1e-8)],
+    "gravity_drop": [
+        (rf"0.8 A_crit: centre ends +{NUMBER} mm beside", -0.1, 0.1),
+        (rf"1.5 A_crit: centre ends +{NUMBER} mm beside", 19.9, 20.1),
+    ],
+    "gimbal": [
+        (rf"A = 2 A_crit: largest difference to the gimbals {NUMBER}", 0, 1e-4),
+        (rf"A = 0.5 A_crit: largest difference to the gimbals {NUMBER}", 1, 4),
+    ],
+    "soft_finger": [
+        (rf"1.3 of it: turned by +{NUMBER} deg", -5, 0),
+        (rf"0.3 of it: turned by +{NUMBER} deg", -120, -60),
+    ],
+    "pole_balance": [
+        (rf"balanced: .*centre is at {NUMBER} m", 0.249, 0.251),
+        (rf"at rest: .*is at {NUMBER} m", -1e3, 0),
+    ],
+    "handle_lift": [
+        (rf"centre {NUMBER} mm beside", 0, 0.1),
+        (rf"swing in the last second: {NUMBER}", 0, 0.2),
+    ],
+    "rod_swing": [
+        (rf"let go: swept {NUMBER} deg", 175, 181),
+        (rf"pivot form: .* at most {NUMBER} mm off", 0, 0.4),
+    ],
+    "friction_cone": [(rf"at most {NUMBER}, with", 0.59, 0.6), (rf"{NUMBER} slips", 3, 1e3)],
+    "dead_band": [
+        (rf"50 Hz: in the last half turns by {NUMBER}", 10, 181),
+        (rf"T_crit = 1 mN m: in the last half turns by {NUMBER}", 0, 0),
+    ],
+    "cube_corner_to_face": [(rf"ends {NUMBER} deg", 0, 1e-2), (rf"touches with {NUMBER} corners", 4, 4)],
+    "bouncing_cube": [
+        (rf"level: energy at most {NUMBER}", -1, 1e-9),
+        (rf"corner first: energy at most {NUMBER}", -1, 1e-9),
+    ],
+}
+
+
+def test_every_example_with_a_plot_is_tested():
+    assert set(CLAIMS) == {
+        path.stem for path in EXAMPLES.glob("*.py") if "from plotting import" in path.read_text()
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CLAIMS)
+def test_an_example_shows_its_claim(name, tmp_path):
+    command = [sys.executable, str(EXAMPLES / f"{name}.py"), "--out", str(tmp_path / "plots")]
+    ended = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"JAX_PLATFORMS": "cpu"})
+    assert ended.returncode == 0 and ended.stderr == ""
+    assert [path.name for path in (tmp_path / "plots").iterdir()] == [f"{name}.png"]
+    assert (tmp_path / "plots" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    assert 2 <= ended.stdout.count("\n") <= 5
+    for pattern, low, high in CLAIMS[name]:
+        found = re.search(pattern, ended.stdout)
+        assert found, (pattern, ended.stdout)
+        assert low <= float(found[1]) <= high, (pattern, found[0])
