@@ -17,7 +17,7 @@ _ALLOWED = f"allowed: a file ending in {', '.join(_SUFFIXES)}"
 _FIELDS = {Mesh: ("file", "scale", "shaded"), Convex: ("points", "file", "scale")}
 
 
-def load_mesh(path: str | os.PathLike, scale: Any = 1.0, shaded: bool = False) -> Mesh:
+def load_mesh(path: str | os.PathLike, scale: Any = 1.0, shaded: Any = False) -> Mesh:
     """Read a mesh from an STL, OBJ, PLY or GLB file; all parts of a GLB at their places, as one mesh.
 
     Nothing but this file is read: materials and textures that it names are not. Vertices in one place are merged.

@@ -47,7 +47,7 @@ class Mesh(Shape):
     file: str | None = eqx.field(static=True)
 
     def __init__(
-        self, vertices: Any, triangles: Any, scale: Any = 1.0, shaded: bool = False, file: str | None = None
+        self, vertices: Any, triangles: Any, scale: Any = 1.0, shaded: Any = False, file: str | None = None
     ):
         self.scale = as_float(scale)
         check_positive("scale", self.scale, unit="")
