@@ -15,7 +15,7 @@ LEVEL, CORNER = (1.0, 0.0, 0.0, 0.0), (0.86, 0.42, 0.28, 0.06)
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * EDGE / 2
 
 
-def drop(orientation=LEVEL, substeps=5, damping=DAMPING, stiffness=STIFFNESS, seconds=1.5):
+def drop(orientation=LEVEL, substeps=5, damping: float | None = DAMPING, stiffness=STIFFNESS, seconds=1.5):
     """The cube's motion and god-objects at every substep, and the mechanical energy (T,) J there."""
     cube = hapjax.Object(hapjax.Box((EDGE,) * 3), None, hapjax.Body(MASS), (0, 0, 0.15), orientation)
     scene = hapjax.Scene(

@@ -197,7 +197,9 @@ def test_the_pivot_form_solves_the_spatial_inertia_at_the_pivot(gyroscopic):
     assert after.spin == pytest.approx(spin + dt * acceleration[3:], rel=1e-9)
     turned = Rotation.from_rotvec(dt * np.asarray(after.spin)).as_matrix()
     at_pivot = velocity - np.cross(spin, arm) + dt * acceleration[:3]
-    assert after.velocity == pytest.approx(at_pivot + np.cross(after.spin, turned @ arm), rel=1e-9)
+    assert after.velocity == pytest.approx(
+        at_pivot + np.cross(np.asarray(after.spin), turned @ arm), rel=1e-9
+    )
     assert matrix(after.orientation) == pytest.approx(turned @ turn, abs=1e-12)
     place = pivot + dt * at_pivot + turned @ (position - pivot)
     assert after.position == pytest.approx(place, abs=1e-12)

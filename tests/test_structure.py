@@ -1,5 +1,7 @@
 """What is compiled: once, and nothing of a part that is absent."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,6 +9,7 @@ import numpy as np
 import pytest
 
 import hapjax
+from hapjax.benchmark.scene import equations, without_each_part
 
 HIP = np.array([[0.029, 0.0, 0.03], [-0.029, 0.0, 0.03]])
 
@@ -19,12 +22,16 @@ def full(**without):
     part = dict(damping=1.0, kinetic=0.4, torsion=True, twist_damping=1e-4, dead_band=1e-5, gyroscopic=True)
     part |= dict(gravity=(0, 0, -9.81), rotation=True, contact=True, pair_damping=0.5, substeps=2, body=True)
     part |= dict(second=True, inertia=(1e-4,) * 3, centre=(1e-3, 0, 0), faces=False) | without
+    part = dict(friction=None, tangential=None, anisotropy=None, other_contact=False) | part
     mu = (0.6,) * 6 if part["faces"] else 0.6
     law = (
         dict(mu=mu)
         if part["kinetic"] is None
         else dict(mu_static=mu, mu_kinetic=0.4 if np.ndim(mu) == 0 else mu)
     )
+    law |= dict(friction=part["friction"], tangential_stiffness=part["tangential"])
+    if part["anisotropy"] is not None:
+        law |= dict(anisotropy=part["anisotropy"], grain=(1.0, 0.0, 0.0))
     surface = hapjax.Surface(800.0, damping=part["damping"], **law)
     body = hapjax.Body(0.2, part["inertia"], part["centre"], part["rotation"]) if part["body"] else None
     objects = {"cube": hapjax.Object(hapjax.Box((0.06,) * 3), surface, body, (0, 0, 0.03))}
@@ -32,27 +39,22 @@ def full(**without):
     if part["second"]:
         objects["ball"] = hapjax.Object(hapjax.Sphere(0.02), hapjax.Surface(500.0, mu=0.3), None, (0.3, 0, 0))
     pair = hapjax.Contact(5000.0, mu=0.5, damping=part["pair_damping"], between=("cube", "floor"))
+    contacts = {"cube_on_floor": pair} if part["contact"] else {}
+    if part["other_contact"]:
+        contacts["cube_on_ball"] = hapjax.Contact(4000.0, mu=0.3, between=("cube", "ball"))
     return hapjax.Scene(
         object=objects,
-        contact={"cube_on_floor": pair} if part["contact"] else {},
+        contact=contacts,
         torsion=hapjax.GravityDrop(2e-5, part["twist_damping"]) if part["torsion"] else None,
         world=hapjax.World(part["gravity"], part["gyroscopic"], part["dead_band"]),
         integrator=hapjax.SemiImplicit(substeps=part["substeps"]),
     )
 
 
-def equations(jaxpr) -> int:
-    """The number of primitive equations; an equation that only holds inner jaxprs counts as what they hold."""
-    count = 0
-    for equation in jaxpr.eqns:
-        inner = [leaf for leaf in jax.tree.leaves(tuple(equation.params.values())) if hasattr(leaf, "eqns")]
-        count += sum(map(equations, inner)) if inner else 1
-    return count
-
-
-def program(scene):
+def program(scene, gimbal=None):
     """The jaxpr of one step."""
-    return jax.make_jaxpr(hapjax.step)(scene, hapjax.init(scene, HIP), jnp.asarray(HIP)).jaxpr
+    state = hapjax.init(scene, HIP, gimbal)
+    return jax.make_jaxpr(hapjax.step)(scene, state, jnp.asarray(HIP), gimbal=gimbal).jaxpr
 
 
 def paths(tree):
@@ -78,6 +80,25 @@ PARTS = {
     "gravity": (dict(gravity=None), {}, "gravity", lambda s: s.world.gravity),
     "centre": (dict(centre=None), {}, "centre", lambda s: s.object["cube"].body.centre),
     "contact": (dict(contact=False), {}, "contact", None),
+    "contact with another object": (
+        dict(other_contact=False),
+        dict(other_contact=True),
+        "cube_on_ball",
+        None,
+    ),
+    "friction law": (
+        dict(friction=None),
+        dict(friction=hapjax.Stribeck(0.01, viscous=0.1)),
+        "friction.",
+        lambda s: s.object["cube"].surface.friction,
+    ),
+    "tangential stiffness": (
+        dict(tangential=None),
+        dict(tangential=600.0),
+        "tangential",
+        lambda s: s.object["cube"].surface.tangential_stiffness,
+    ),
+    "anisotropy": (dict(anisotropy=None), dict(anisotropy=0.5), "anisotropy", None),
     "second object": (dict(second=False), {}, "ball", None),
     "substeps": (dict(substeps=1), dict(damping=None), None, None),
     "rotation": (dict(rotation=False), NO_TURNING, "spin", None),
@@ -100,6 +121,59 @@ def test_an_absent_part_costs_nothing(part):
     if where is not None:
         taken_out = eqx.tree_at(where, having, None)
         assert str(program(taken_out)) == str(less)
+
+
+def test_gimbals_god_angles_and_pivots_cost_only_those_who_ask_for_them():
+    base, still = full(), np.zeros(2)
+    drop, none = replace(base, torsion=hapjax.GravityDrop(2e-5)), full(torsion=False)
+    turned, soft = (
+        replace(base, torsion=hapjax.Gimbal(2e-5)),
+        replace(base, torsion=hapjax.SoftFinger(1e-3, 0.1)),
+    )
+    pivoted = replace(base, integrator=hapjax.PivotForm(substeps=2))
+    assert equations(program(drop)) < equations(program(turned, still))
+    assert equations(program(none)) < equations(program(soft))
+    assert equations(program(base)) < equations(program(pivoted))
+    # In the state only then, and as an argument of the step only then.
+    assert len(program(turned, still).invars) == len(program(drop).invars) + 2
+    for scene, gimbal, angles in ((turned, still, 1), (soft, None, 1), (drop, None, 0), (none, None, 0)):
+        state = hapjax.init(scene, HIP, gimbal)
+        assert len(jax.tree.leaves((state.gimbal, state.god_angle))) == angles
+    assert len(program(pivoted).invars) == len(program(base).invars)
+
+
+def test_the_benchmark_switches_off_what_costs():
+    """Every part of a full scene is among those that `hapjax benchmark scene` leaves out, and each saves equations."""
+    scene = full(
+        friction=hapjax.Stribeck(0.01), tangential=600.0, anisotropy=0.5, other_contact=True, faces=True
+    )
+    whole = equations(program(scene))
+    found = dict(without_each_part(scene))
+    assert {name.split(".")[-1] for name in found} >= {
+        *(
+            "friction",
+            "damping",
+            "tangential_stiffness",
+            "mu_kinetic",
+            "anisotropy",
+            "mu of each face",
+            "surface",
+        ),
+        *(
+            "centre",
+            "rotation",
+            "body",
+            "cube",
+            "floor",
+            "ball",
+            "cube_on_floor",
+            "cube_on_ball",
+            "twist_damping",
+        ),
+        *("torsion", "gravity", "gyroscopic", "dead_band", "substeps"),
+    }
+    for name, variant in found.items():
+        assert equations(program(variant)) < whole, name
 
 
 def test_every_number_of_a_moving_scene_is_used():

@@ -116,8 +116,8 @@ def test_quaternions_of_either_sign_are_interpolated(monkeypatch):
     scene, observation = ball(fixed=False), falling(np.array([0.0005, 0.0013, 0.0045]))
     smooth = predicted(scene, observation)["pose"]
 
-    def flipping(*given):
-        final, reply = rollout(*given)
+    def flipping(*given, **more):
+        final, reply = rollout(*given, **more)
         pose = reply.pose.at[::2, :, 3:].multiply(-1.0)
         return final, eqx.tree_at(lambda r: r.pose, reply, pose)
 
