@@ -127,7 +127,7 @@ def fit(
 
 
 def benchmark(
-    kind: Positional[Literal["latency"]],
+    kind: Positional[Literal["latency", "scene"]],
     scene: Path | None = None,
     fingers: int = 3,
     seconds: float = 5.0,
@@ -136,21 +136,26 @@ def benchmark(
     """Measure on this machine.
 
     latency: one step inside a compiled loop, one packed call beside an empty one, the servo loop's lateness and
-    missed ticks at 1 kHz, compile time. Example: hapjax benchmark latency --json latency.json
+    missed ticks at 1 kHz, compile time. scene: equations, floating-point operations and time of a step of the scene,
+    and of the scene with each part switched off in turn. Example: hapjax benchmark latency --json latency.json
 
     Args:
         kind: Which measurement.
         scene: Scene file (TOML); absent: the demo's.
         fingers: Number of fingers, 1 to 100.
-        seconds: How long the servo loop runs, above 0 to 3600 s.
+        seconds: How long the servo loop of latency runs, above 0 to 3600 s.
         json: File for the figures.
     """
     from .benchmark import latency
+    from .benchmark import scene as parts
 
-    del kind  # there is one so far
     if json is not None:
         check_writable(json)
-    latency.report(None if scene is None else load_scene(scene), fingers, seconds, json)
+    loaded = None if scene is None else load_scene(scene)
+    if kind == "latency":
+        latency.report(loaded, fingers, seconds, json)
+    else:
+        parts.report(loaded, fingers, json)
 
 
 _SHELLS = ("bash", "zsh", "tcsh")

@@ -194,9 +194,9 @@ def _carried(a: Mover, b: Mover, own, radius, near: SurfacePoint):
     The lowest point of a rolling ball travels with its centre while the material there stands still: the god-object is
     held by the material, so it goes along.
     """
-    spin = a.spin()
-    if b.spin() is not None:
-        spin = -b.spin() if spin is None else spin - b.spin()
+    spin, other = a.spin(), b.spin()
+    if other is not None:
+        spin = -other if spin is None else spin - other
     if spin is None:
         return None
     if radius is not None:

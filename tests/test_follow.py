@@ -1,5 +1,7 @@
 """A finger on shapes whose faces meet at edges: no jump of the force, nothing falls through."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +21,7 @@ def forces(scene, path):
     return hapjax.rollout(scene, hapjax.init(scene, path[:1]), path[:, None])[1].force[:, 0]
 
 
-def fixed(shape, mu=0.0, turn=(1.0, 0.0, 0.0, 0.0), place=(0.0, 0.0, 0.0)):
+def fixed(shape, mu: Any = 0.0, turn=(1.0, 0.0, 0.0, 0.0), place=(0.0, 0.0, 0.0)):
     return hapjax.Scene({"it": hapjax.Object(shape, hapjax.Surface(STIFFNESS, mu=mu), None, place, turn)})
 
 

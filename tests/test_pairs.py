@@ -1,5 +1,7 @@
 """Any two shapes against each other: they rest, they stack, they conserve momentum."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -124,7 +126,7 @@ def test_a_collision_keeps_momentum_and_angular_momentum(first, second):
     (linear, angular), (linear_after, angular_after) = momenta(state), momenta(after)
     assert linear_after == pytest.approx(linear, abs=1e-12)
     # Semi-implicit Euler turns a spinning body's angular momentum a little, with or without a collision.
-    assert angular_after == pytest.approx(angular, abs=2e-3 * np.linalg.norm(angular))
+    assert angular_after == pytest.approx(angular, abs=2e-3 * float(np.linalg.norm(angular)))
 
 
 def test_names_in_the_other_order_are_the_same_contact():
@@ -156,7 +158,7 @@ def stack(yaw=0.0, dt=1e-3):
         for i in range(3)
     }
     objects["floor"] = hapjax.Object(hapjax.Plane())
-    kind = dict(mu=0.6, damping=2.0)
+    kind: dict[str, Any] = dict(mu=0.6, damping=2.0)
     contacts = {"on_floor": hapjax.Contact(2e3, between=("cube0", "floor"), **kind)}
     for i in (1, 2):
         contacts[f"cube{i}_on"] = hapjax.Contact(2e3, between=(f"cube{i}", f"cube{i - 1}"), **kind)

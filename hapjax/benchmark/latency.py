@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 from rich.table import Table
@@ -17,9 +16,8 @@ from ..extras import need
 from ..files import replacing
 from ..packed import PackedStep, pack
 from ..scene import Scene, dtype_of
-from ..simulate import init, rollout
+from ._timing import compiled, felt, step_us
 
-SCAN_STEPS = 2000
 CALLS = 5000
 RATE = 1000.0  # Hz, of the servo loop
 
@@ -38,16 +36,17 @@ def measure(scene: Scene | None, fingers: int, seconds: float) -> dict[str, Any]
     if not 0 < seconds <= 3600:
         raise InputError(f"seconds is {seconds}; allowed: above 0, at most 3600")
     servo = need("hapjax_devices", "devices")
-    felt, devices = _felt(scene, fingers)
+    scene, devices = felt(scene, fingers)
     hip = np.stack([np.asarray(device.path[0]) for device in devices])
-    gimbal = np.zeros(fingers) if felt.torsion is not None and felt.torsion.needs_gimbal else None
-    packed = pack(felt, hip, 1 / RATE, gimbal)
-    scan_step, scan_compile = _scan(felt, hip, gimbal)
+    gimbal = np.zeros(fingers) if scene.torsion is not None and scene.torsion.needs_gimbal else None
+    packed = pack(scene, hip, 1 / RATE, gimbal)
+    loop_of_steps, scan_compile = compiled(scene, hip, gimbal)
+    (scan_step,) = step_us([loop_of_steps])
     inputs = [x.astype(packed.dtype) for x in (hip, gimbal) if x is not None]
-    loop = servo.run(felt, devices, seconds, RATE)
+    loop = servo.run(scene, devices, seconds, RATE)
     return {
         "device": str(jax.devices()[0]),
-        "dtype": str(dtype_of(felt)),
+        "dtype": str(dtype_of(scene)),
         "fingers": len(devices),
         "scan_step_us": scan_step,
         "packed_call_us": _percentiles(_calls(packed.call, packed, inputs)),
@@ -56,20 +55,6 @@ def measure(scene: Scene | None, fingers: int, seconds: float) -> dict[str, Any]
         "loop": loop.summary(),
         "refused": list(loop.refused),
     }
-
-
-def _felt(scene: Scene | None, fingers: int) -> tuple[Scene, list[Any]]:
-    """The scene that is measured, and the virtual devices that feel it."""
-    if scene is None:
-        if fingers != 3:
-            raise InputError(
-                f"fingers is {fingers} without a scene; allowed: 3, as the demo's scene is felt by"
-            )
-        task = need("hapjax_devices.demo", "devices").three_finger_lift(0)
-        return task.scene, task.devices
-    virtual = need("hapjax_devices", "devices").VirtualDevice
-    # Apart from each other and from nearby objects: a step does the same arithmetic wherever the fingers are.
-    return scene, [virtual(np.array([[0.1 * i, 0.0, 1.0]])) for i in range(fingers)]
 
 
 def report(scene: Scene | None, fingers: int, seconds: float, file: Path | None) -> None:
@@ -83,22 +68,6 @@ def report(scene: Scene | None, fingers: int, seconds: float, file: Path | None)
         with replacing(file) as out:
             json.dump(figures, out, indent=2)
             out.write("\n")
-
-
-def _scan(scene: Scene, hip: np.ndarray, gimbal: np.ndarray | None) -> tuple[float, float]:
-    """us a step inside a compiled loop (median of 9 runs), and s to compile it."""
-    hips = jnp.asarray(np.broadcast_to(hip, (SCAN_STEPS, *hip.shape)), dtype_of(scene))
-    gimbals = None if gimbal is None else jnp.asarray(np.broadcast_to(gimbal, hips.shape[:2]), hips.dtype)
-    state = init(scene, hips[0], gimbal)
-    began = time.perf_counter()
-    compiled = rollout.lower(scene, state, hips, 1 / RATE, gimbals).compile()
-    compile_s = time.perf_counter() - began
-    runs = []
-    for _ in range(10):
-        began = time.perf_counter()
-        jax.block_until_ready(compiled(scene, state, hips, 1 / RATE, gimbals))
-        runs.append((time.perf_counter() - began) / SCAN_STEPS * 1e6)
-    return float(np.median(runs[1:])), compile_s
 
 
 def _empty(packed: PackedStep, inputs: list[np.ndarray]) -> Callable[..., Any]:

@@ -47,14 +47,14 @@ class Capsule(Shape):
         """The radius."""
         return self.radius
 
-    def points(self, facing) -> Float[Array, "2 3"]:
+    def points(self, facing=None) -> Float[Array, "2 3"]:
         """The ends of the segment."""
         axis = jnp.array([0, 0, 1], self.radius.dtype)
         return jnp.stack([axis, -axis]) * self.length / 2
 
     def axis(self) -> Axis:
         """The segment."""
-        first, last = self.points(None)
+        first, last = self.points()
         return Axis(first, last, self.radius)
 
     def has_side(self, query: Float[Array, "3"]) -> Bool[Array, ""]:
