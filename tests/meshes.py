@@ -31,7 +31,7 @@ def notched():
 
 
 def torus():
-    mesh = trimesh.creation.torus(0.03, 0.012, major_sections=24, minor_sections=12)
+    mesh = trimesh.creation.torus(0.03, 0.012, major_sections=16, minor_sections=8)
     return np.asarray(mesh.vertices) @ TILT.T, np.asarray(mesh.faces)
 
 
@@ -77,9 +77,10 @@ def entries(vertices, triangles, start, end):
     way = (end - start)[:, None]
     normal = np.cross(b - a, c - a)
     slope = np.sum(normal * way, axis=2)
-    t = np.sum(normal * (a - start[:, None]), axis=2) / slope
+    crosses = slope < 0
+    t = np.sum(normal * (a - start[:, None]), axis=2) / np.where(crosses, slope, 1)
     point = start[:, None] + t[..., None] * way
-    hit = (slope < 0) & (t >= 0) & (t < 1)
+    hit = crosses & (t >= 0) & (t < 1)
     for p, q in ((a, b), (b, c), (c, a)):
         hit &= np.sum(normal * np.cross(q - p, point - p), axis=2) >= 0
     t = np.where(hit, t, np.inf)

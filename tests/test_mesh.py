@@ -12,6 +12,7 @@ from jax.test_util import check_grads
 from scipy.optimize import lsq_linear
 
 import hapjax
+from hapjax import rotation
 from hapjax.shape import _grid
 from meshes import TILT, distance, entries, icosphere, inside, notched, torus
 from test_structure import equations
@@ -165,28 +166,26 @@ def approaches(vertices, triangles, count, seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "number"), [("notched", np.float64), ("torus", np.float64), ("notched", np.float32)]
+    ("name", "number", "count"),
+    [("notched", np.float64, 65_000), ("torus", np.float64, 40_000), ("notched", np.float32, 20_000)],
 )
-def test_no_approach_falls_through(name, number):
+def test_no_approach_falls_through(name, number, count):
     vertices, triangles = FORMS[name]
-    ways = approaches(vertices, triangles, 60_000, 2).astype(number)
+    ways = approaches(vertices, triangles, count, 2).astype(number)
     held = followed(as_type(mesh_of(name), number), jnp.asarray(ways))
     depth = np.asarray(held.depth[:, -1])
     end = ways[:, -1].astype(float)
     # Nearer than rounding there is no inside and outside.
     deep = distance(vertices, triangles, end) > 8 * np.finfo(number).eps * 0.05
     within = inside(vertices, triangles, end)
-    assert len(ways) > 50_000 and (deep & within).sum() > 30_000
+    assert len(ways) > 0.95 * count and (deep & within).sum() > 0.3 * count
     assert np.sum(deep & within & (depth <= 0)) == 0
-    met = np.min(
-        [
-            entries(vertices, triangles, ways[:, i].astype(float), ways[:, i + 1].astype(float))[1]
-            for i in (0, 1)
-        ],
-        axis=0,
-    )
-    free = np.isinf(met) & deep & ~within & (distance(vertices, triangles, ways[:, 1].astype(float)) > 1e-6)
-    assert free.sum() > 50 and np.all(depth[free] == 0)
+    # And what meets nothing is not held.
+    few = slice(5000)
+    start, between, end = (ways[few, i].astype(float) for i in range(3))
+    met = np.isfinite([entries(vertices, triangles, *way)[1] for way in ((start, between), (between, end))])
+    free = ~met.any(axis=0) & (deep & ~within)[few] & (distance(vertices, triangles, between) > 1e-6)
+    assert free.sum() > 50 and np.all(depth[few][free] == 0)
 
 
 def test_a_way_through_a_thin_plate_is_held_by_the_first_face():
@@ -390,7 +389,7 @@ def test_a_body_of_a_mesh_turns_about_its_own_centre():
     state = eqx.tree_at(lambda s: s.motion["stone"].spin, state, jnp.asarray([3.0, 1.0, -2.0]))
     _, reply = hapjax.rollout(scene, state, hips)
     pose = np.asarray(reply.pose[:, 0])
-    turned = hapjax.rotation.to_matrix(jnp.asarray(pose[-1, [3, 4, 5, 6]]))
+    turned = rotation.to_matrix(jnp.asarray(pose[-1, [3, 4, 5, 6]]))
     assert np.linalg.norm(pose[-1, :3]) > 5e-3
     np.testing.assert_allclose(pose[-1, :3] + turned @ mesh.centre(), mesh.centre(), atol=1e-12)
 

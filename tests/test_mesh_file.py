@@ -31,7 +31,7 @@ def test_parts_of_a_glb_are_where_it_puts_them(tmp_path):
 def test_no_other_file_is_opened(tmp_path, monkeypatch):
     (tmp_path / "secret.mtl").write_text("newmtl a\nmap_Kd secret.png\n")
     path = tmp_path / "box.obj"
-    path.write_text("mtllib secret.mtl\nusemtl a\n" + BOX.export(file_type="obj", include_texture=False))
+    path.write_text(f"mtllib secret.mtl\nusemtl a\n{BOX.export(file_type='obj', include_texture=False)}")
     opened = []
     real = open
 
@@ -116,10 +116,11 @@ def folder(tmp_path):
 def test_scene_files_have_meshes(folder):
     scene = hapjax.load_scene(folder / "scene.toml")
     part, gem, hull, cube = (scene.object[name] for name in ("part", "gem", "hull", "cube"))
-    assert part.shape.shaded and type(part.shape) is hapjax.Mesh
-    assert float(part.body.mass) == pytest.approx(0.006, rel=1e-6)
-    assert float(gem.shape.volume()) == pytest.approx(0.02**3 / 6)
-    assert len(hull.shape.faces) == 6 and float(cube.body.mass) == pytest.approx(0.5)
+    assert isinstance(part.shape, hapjax.Mesh) and part.shape.shaded
+    assert isinstance(gem.shape, hapjax.Convex) and float(gem.shape.volume()) == pytest.approx(0.02**3 / 6)
+    assert isinstance(hull.shape, hapjax.Convex) and len(hull.shape.faces) == 6
+    assert part.body is not None and float(part.body.mass) == pytest.approx(0.006, rel=1e-6)
+    assert cube.body is not None and float(cube.body.mass) == pytest.approx(0.5)
 
     hapjax.save_scene(scene, folder / "again.toml")
     again = hapjax.load_scene(folder / "again.toml")
