@@ -237,6 +237,7 @@ def test_impossible_soft_fingers_are_refused(fields, words):
     assert all(word in str(refused.value) for word in words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "torsion",
     [
