@@ -170,7 +170,7 @@ def _points_on(contact: Contact, gods: GodObject, a: Mover, b: Mover, masked: bo
         points = points - radius * near.normal
         near = eqx.tree_at(lambda n: n.depth, near, near.depth + radius)
     if masked:  # the balls at a capsule's ends touch by their own points
-        side = jax.vmap(shape.has_side)(points)
+        side = jax.vmap(shape.has_side)(points)  # pyright: ignore[reportArgumentType]
         near = eqx.tree_at(lambda n: n.depth, near, jnp.where(side, near.depth, 0))
     places = b.placed.to_world(points)
     slip = None

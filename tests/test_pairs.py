@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hapjax
+import meshes
 from helpers import G, away, matrix, moving, quaternion
 
 MASS = 0.05
@@ -41,9 +42,24 @@ def _reach(shape, turn):
         return float(np.abs(up) @ np.asarray(shape.size) / 2)
     if isinstance(shape, hapjax.Sphere):
         return float(shape.radius)
+    if isinstance(shape, hapjax.Mesh):
+        return -float((np.asarray(shape.points()) @ up).min())
     along = abs(up[2]) * float(shape.length) / 2
     return along + float(shape.radius) * (1 if isinstance(shape, hapjax.Capsule) else np.hypot(*up[:2]))
 
+
+def _centred(solid):
+    """The mesh with its origin in its middle."""
+    vertices, triangles = solid
+    return vertices - (vertices.max(axis=0) + vertices.min(axis=0)) / 2, triangles
+
+
+# The same box as a hull; a plate on two feet; a cube of twelve triangles.
+HULL = hapjax.Convex(
+    np.array([(x, y, z) for x in (-0.03, 0.03) for y in (-0.025, 0.025) for z in (-0.02, 0.02)])
+)
+TABLE = hapjax.Mesh(*_centred(meshes.voxels([(0, 0, 0), (2, 0, 0), (0, 0, 1), (1, 0, 1), (2, 0, 1)])))
+BLOCK = hapjax.Mesh(*_centred(meshes.voxels([(0, 0, 0)], 0.1)))
 
 RESTS = {
     "box on a thin beam": (BOX, TURNED, BEAM, UPRIGHT, 4),
@@ -61,6 +77,13 @@ RESTS = {
     "capsule on a slab": (CAPSULE, LYING, SLAB, UPRIGHT, 2),
     "capsule across a beam": (CAPSULE, LYING_X, ACROSS, UPRIGHT, 2),
     "capsule across a capsule": (CAPSULE, LYING_X, hapjax.Capsule(0.02, 0.2), LYING, 1),
+    "hull on a thin beam": (HULL, TURNED, BEAM, UPRIGHT, 4),
+    "hull on a plane": (HULL, TURNED, hapjax.Plane(), UPRIGHT, 4),
+    "box on a hull": (BOX, TURNED, BLOCK, UPRIGHT, 4),
+    "table on a slab": (TABLE, UPRIGHT, SLAB, UPRIGHT, 8),
+    "ball on a hull": (BALL, UPRIGHT, BLOCK, UPRIGHT, 1),
+    "capsule across a hull": (CAPSULE, LYING_X, HULL, UPRIGHT, 2),
+    "cylinder upright on a hull": (CYLINDER, UPRIGHT, BLOCK, UPRIGHT, 4),
     "capsule along a cylinder": (CAPSULE, LYING, hapjax.Cylinder(0.02, 0.2), LYING, 2),
 }
 
@@ -91,7 +114,7 @@ def test_a_cube_falls_off_a_beam_that_is_not_under_its_centre():
 
 # Free against free ----------------------------------------------------------------------------------------
 
-FREE = {"box": BOX, "ball": BALL, "cylinder": CYLINDER, "capsule": CAPSULE}
+FREE = {"box": BOX, "ball": BALL, "cylinder": CYLINDER, "capsule": CAPSULE, "table": TABLE}
 
 
 @pytest.mark.slow
@@ -115,11 +138,12 @@ def test_a_collision_keeps_momentum_and_angular_momentum(first, second):
 
     def momenta(state):
         linear, angular = np.zeros(3), np.zeros(3)
-        for name, body in zip("ab", bodies, strict=True):
+        for (name, body), shape in zip(zip("ab", bodies, strict=True), (first, second), strict=True):
             m = jax.tree.map(np.asarray, state.motion[name])
-            turn = matrix(m.orientation)
+            turn, middle = matrix(m.orientation), FREE[shape].centre()
+            place = m.position if middle is None else m.position + turn @ np.asarray(middle)
             linear += float(body.mass) * m.velocity
-            angular += float(body.mass) * np.cross(m.position, m.velocity)
+            angular += float(body.mass) * np.cross(place, m.velocity)
             angular += turn @ (np.asarray(body.inertia) * (turn.T @ m.spin))
         return linear, angular
 

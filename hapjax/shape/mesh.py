@@ -9,10 +9,11 @@ from jaxtyping import Array, Float, Int
 
 from .. import safe
 from .._validate import as_float, check_number, check_positive, flag, is_traced
+from ._creases import Creases, creases_of
 from ._grid import Grid, grid_of
 from ._hold import hold, pseudonormal, unit_normal
 from ._planes import corner_of, frozen, holding
-from ._shape import Corner, Shape, SurfacePoint, Track, begin, ease
+from ._shape import Corner, Edges, Shape, SurfacePoint, Track, begin, ease
 from ._solid import Solid, solid_of
 from ._topology import Topology, checked, topology
 from ._triangle import dot, nearest_part, nearest_point, weights
@@ -43,6 +44,7 @@ class Mesh(Shape):
     topology: Topology
     grid: Grid
     solid: Solid
+    creases: Creases
     shaded: bool = eqx.field(static=True)
     file: str | None = eqx.field(static=True)
 
@@ -59,6 +61,7 @@ class Mesh(Shape):
         self.topology = topology(points, faces, dtype)
         self.grid = grid_of(points, faces, dtype)
         self.solid = solid_of(self.vertices[faces])
+        self.creases = creases_of(points, faces, dtype)
         self.shaded = flag("shaded")(shaded)
         self.file = file
 
@@ -91,8 +94,11 @@ class Mesh(Shape):
             topology(points, faces, dtype),
             grid_of(points, faces, dtype),
             solid_of(vertices[faces]),
+            creases_of(points, faces, dtype),
         )
-        moved = eqx.tree_at(lambda mesh: (mesh.vertices, mesh.topology, mesh.grid, mesh.solid), self, leaves)
+        moved = eqx.tree_at(
+            lambda mesh: (mesh.vertices, mesh.topology, mesh.grid, mesh.solid, mesh.creases), self, leaves
+        )
         object.__setattr__(moved, "file", None)  # it is no longer what the file says
         return moved
 
@@ -141,6 +147,20 @@ class Mesh(Shape):
     def inertia_per_mass(self) -> Float[Array, "3 3"]:
         """Inertia of the uniform solid about its centre of mass over its mass, m^2, along the axes of its frame."""
         return self.scale**2 * self.solid.inertia
+
+    def points(self, facing=None) -> Float[Array, "V 3"]:
+        """The vertices, m."""
+        return self.scale * self.vertices
+
+    def edges(self) -> Edges:
+        """The convex edges at which the surface bends by more than 10 degrees."""
+        start, end = (self.scale * self.vertices[i.astype(jnp.int32)] for i in self.creases.vertices.T)
+        corners = jax.vmap(jax.vmap(self._corners))(self.creases.triangles.astype(jnp.int32))
+        return Edges(start, end, jax.vmap(jax.vmap(unit_normal))(corners))
+
+    def thickness(self) -> Float[Array, ""]:
+        """Volume over area: half the thickness of a plate."""
+        return self.scale * self.creases.thickness
 
     def _corners(self, triangle: Int[Array, ""]) -> Float[Array, "3 3"]:
         """The corners of a triangle, before the scale."""
