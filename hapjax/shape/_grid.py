@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..errors import InputError
+from ._table import rows
 from ._topology import LARGEST
 from ._triangle import area_normal, dot
 
@@ -126,11 +127,11 @@ def first_entered(
     def one(carry):
         cell, upcoming, offset, best, when, _ = carry
         row = _hash([cell[i].astype(jnp.uint32) for i in range(3)], grid.start.shape[0] - 1).astype(jnp.int32)
-        first = grid.start[row].astype(jnp.int32)
-        number = grid.start[row + 1].astype(jnp.int32) - first
+        first, beyond = rows(grid.start, jnp.stack([row, row + 1])).astype(jnp.int32)
+        number = beyond - first
         places = offset + jnp.arange(CHUNK, dtype=jnp.int32)
         last = jnp.maximum(first + number - 1, 0)
-        triangles = grid.triangles[jnp.minimum(first + places, last)].astype(jnp.int32)
+        triangles = rows(grid.triangles, jnp.minimum(first + places, last)).astype(jnp.int32)
         hit, touching, t = jax.vmap(enter)(triangles)
         hit = (places < number) & jnp.where(left > 0, hit & (t * length > left), hit | touching)
         t = jnp.where(hit, t, jnp.inf)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ._grid import Grid, first_entered, rounding
+from ._table import rows
 from ._topology import Topology
 from ._triangle import area_normal, dot, nearest_point
 from ._walk import beside, descend
@@ -31,7 +32,7 @@ def pseudonormal(
     size = jnp.sqrt(dot(both, both))
     folded = size < 1e-6
     on_edge = jnp.where(folded, own, both / jnp.where(folded, 1, size))
-    return jnp.where(part == 0, own, jnp.where(part < 4, on_edge, topology.vertex_normals[vertex]))
+    return jnp.where(part == 0, own, jnp.where(part < 4, on_edge, rows(topology.vertex_normals, vertex)))
 
 
 def hold(

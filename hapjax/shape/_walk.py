@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ._table import rows
 from ._topology import Topology
 from ._triangle import area_normal, dot, nearest_part, nearest_point
 
@@ -14,18 +15,18 @@ CHUNK = 8  # triangles at a time; few vertices have more
 
 def around(topology: Topology, vertex: Int[Array, ""], offset: Int[Array, ""]):
     """`CHUNK` of the triangles about a vertex, from the `offset`-th on (the last again past the end), and their number."""
-    first = topology.fan_start[vertex].astype(jnp.int32)
-    number = topology.fan_start[vertex + 1].astype(jnp.int32) - first
+    first, beyond = rows(topology.fan_start, jnp.stack([vertex, vertex + 1])).astype(jnp.int32)
+    number = beyond - first
     places = jnp.minimum(offset + jnp.arange(CHUNK, dtype=jnp.int32), number - 1)
-    return topology.fan[first + places].astype(jnp.int32), number
+    return rows(topology.fan, first + places).astype(jnp.int32), number
 
 
 def beside(
     topology: Topology, triangle: Int[Array, ""], part: Int[Array, ""]
 ) -> tuple[Int[Array, ""], Int[Array, ""]]:
     """The neighbour across an edge, and the vertex at a corner; meaningless for the other parts."""
-    neighbour = topology.neighbours[triangle].astype(jnp.int32)[jnp.clip(part - 1, 0, 2)]
-    vertex = topology.triangles[triangle].astype(jnp.int32)[jnp.clip(part - 4, 0, 2)]
+    neighbour = rows(topology.neighbours, triangle).astype(jnp.int32)[jnp.clip(part - 1, 0, 2)]
+    vertex = rows(topology.triangles, triangle).astype(jnp.int32)[jnp.clip(part - 4, 0, 2)]
     return neighbour, vertex
 
 

@@ -15,6 +15,7 @@ from ._hold import hold, pseudonormal, unit_normal
 from ._planes import corner_of, frozen, holding
 from ._shape import Corner, Edges, Shape, SurfacePoint, Track, begin, ease
 from ._solid import Solid, solid_of
+from ._table import rows
 from ._topology import Topology, checked, topology
 from ._triangle import dot, nearest_part, nearest_point, weights
 
@@ -164,7 +165,7 @@ class Mesh(Shape):
 
     def _corners(self, triangle: Int[Array, ""]) -> Float[Array, "3 3"]:
         """The corners of a triangle, before the scale."""
-        return self.vertices[self.topology.triangles[triangle].astype(jnp.int32)]
+        return rows(self.vertices, rows(self.topology.triangles, triangle).astype(jnp.int32))
 
     def _face(self, triangle: Int[Array, "*n"]) -> Int[Array, "*n"]:
         """The face that a triangle belongs to."""
@@ -187,8 +188,8 @@ class Mesh(Shape):
         depth = jnp.where(flat, dot(own, corners[0]), jnp.where(clear, side * distance, dot(pseudo, outward)))
         if self.shaded:
             blend = weights(corners, part)
-            ids = self.topology.triangles[triangle].astype(jnp.int32)
-            mixed = safe.normalise(jnp.sum(blend[:, None] * self.topology.vertex_normals[ids], axis=0))
+            ids = rows(self.topology.triangles, triangle).astype(jnp.int32)
+            mixed = safe.normalise(jnp.sum(blend[:, None] * rows(self.topology.vertex_normals, ids), axis=0))
             normal = jnp.where(jnp.any(mixed != 0), mixed, normal)
         return SurfacePoint(query + outward, normal, depth, self._face(triangle))
 
