@@ -105,7 +105,11 @@ SCENES = [
     ('["cube", "floor"]', '["cube"]', ["contact.cube_on_floor.between", "two objects"]),
     ('["cube", "floor"]', '["cube", "wall"]', ["contact.cube_on_floor.between", "wall", "cube, ball, floor"]),
     ('["cube", "floor"]', '["cube", "cube"]', ["contact.cube_on_floor.between", "twice"]),
-    ('["cube", "floor"]', '["cube", "ball"]', ["contact.cube_on_floor.between", "plane"]),
+    (
+        "[torsion]",
+        "[object.wall]\nshape='plane'\n[contact.again]\nbetween=['floor','wall']\nmu=1\nstiffness=1\n[torsion]",
+        ["contact.again.between", "at most one plane"],
+    ),
     ('["cube", "floor"]', '["ball", "floor"]', ["contact.cube_on_floor.between", "without a body"]),
     ("mu = 0.5", "mu = [0.5]", ["contact.cube_on_floor.mu", "one number"]),
     (

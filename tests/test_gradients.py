@@ -6,7 +6,6 @@ all derivatives with respect to x can be compared with each other.
 
 import functools
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np

@@ -35,6 +35,10 @@ class Capsule(Shape):
         depth = self.radius - distance
         return SurfacePoint(query + depth * normal, normal, depth, jnp.zeros((), jnp.int32))
 
+    def volume(self) -> Float[Array, ""]:
+        """pi r^2 (length + 4/3 r), m^3."""
+        return jnp.pi * self.radius**2 * (self.length + 4 / 3 * self.radius)
+
     def inertia_per_mass(self) -> Float[Array, "3"]:
         """A solid cylinder between two half balls, whose centres of mass lie 3/8 r beyond its ends."""
         r, h = self.radius, self.length

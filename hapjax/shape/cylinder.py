@@ -66,6 +66,10 @@ class Cylinder(Shape):
             track, query, SurfacePoint(query + depth * normal, normal, jnp.where(held, depth, 0), face)
         )
 
+    def volume(self) -> Float[Array, ""]:
+        """pi r^2 length, m^3."""
+        return jnp.pi * self.radius**2 * self.length
+
     def inertia_per_mass(self) -> Float[Array, "3"]:
         """Solid cylinder: r^2 / 2 about the axis, r^2 / 4 + h^2 / 12 across it."""
         along, across = self.radius**2 / 2, self.radius**2 / 4 + self.length**2 / 12
