@@ -1,6 +1,7 @@
 """What the examples share: fingers at rest, a scene played through, and the one plot that each of them writes."""
 
 import argparse
+import os
 from pathlib import Path
 
 import jax
@@ -20,7 +21,12 @@ def begin(description: str) -> Path:
         "--out", type=Path, default=Path(), metavar="DIR", help="folder of the plot (default: here)"
     )
     folder = parser.parse_args().out
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        parser.error(f"--out {folder} cannot be made ({error.strerror}); allowed: a folder for the plot")
+    if not os.access(folder, os.W_OK):
+        parser.error(f"--out {folder} cannot be written to; allowed: a folder for the plot")
     jax.config.update("jax_enable_x64", True)
     return folder
 

@@ -4,12 +4,13 @@ A cube on a thin beam has no vertex inside anything: it rests where its edges cr
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from . import rotation, safe
 from .god_object import GodObject
-from .shape import Axis, Edges
+from .shape import BORDER, Axis, Edges
 from .surface import Surface
 
 _PARALLEL = 0.02  # the sine of the angle below which two edges do not cross
@@ -23,13 +24,15 @@ class Crossing(eqx.Module):
     """Pairs of edges, in the second object's frame: of each the `point` (m) on the first object's edge, the unit
     `normal` from the second to the first, and how `depth` (m) the first has sunk in.
 
-    `admissible`: the edges really pass each other there. `limit` (m): the depth up to which that alone is a contact.
+    `admissible`: the edges really pass each other there; `lasting`: they do, or all but. `limit` (m): the depth up to
+    which that alone is a contact.
     """
 
     point: Float[Array, "n 3"]
     normal: Float[Array, "n 3"]
     depth: Float[Array, "n"]
     admissible: Bool[Array, "n"]
+    lasting: Bool[Array, "n"]
     limit: Float[Array, "n"]
 
 
@@ -50,7 +53,7 @@ def is_active(found: Crossing, before: Float[Array, "n"]) -> Bool[Array, "n"]:
     All edges of two overlapping solids overlap in some way; a contact is a pair that has come from outside.
     """
     came = (before != 0) | (found.depth <= found.limit)
-    return found.admissible & (found.depth > 0) & came
+    return (found.depth > 0) & ((found.admissible & came) | (found.lasting & (before > 0)))
 
 
 def find(first, second) -> Crossing:
@@ -67,11 +70,11 @@ def find(first, second) -> Crossing:
         turned = _on_side(theirs, our_axis)
         # The point is to be the first object's, the normal is to lead from the second to the first.
         moved = turned.point + turned.depth[:, None] * turned.normal
-        parts.append(Crossing(moved, -turned.normal, turned.depth, turned.admissible, turned.limit))
+        kept = turned.admissible, turned.lasting, turned.limit
+        parts.append(Crossing(moved, -turned.normal, turned.depth, *kept))
     if our_axis is not None and their_axis is not None:
         parts.append(_sides(our_axis, their_axis))
-    fields = zip(*((p.point, p.normal, p.depth, p.admissible, p.limit) for p in parts), strict=True)
-    return Crossing(*(jnp.concatenate(f) for f in fields))
+    return jax.tree.map(lambda *fields: jnp.concatenate(fields), *parts)
 
 
 def _edges_in(first, second) -> Edges | None:
@@ -93,7 +96,7 @@ def _axis_in(first, second) -> Axis | None:
 
 def _nearest(a: Float[Array, "*n 3"], u, b: Float[Array, "*n 3"], v):
     """The points of the lines a + s u and b + t v that are closest to each other, their common normal, and whether both
-    lie within 0 <= s, t <= 1 of lines that are not parallel.
+    lie within 0 <= s, t <= 1 of lines that are not parallel; and whether they do but for a little.
     """
     across = jnp.cross(u, v)
     square = jnp.sum(across**2, axis=-1)
@@ -101,8 +104,9 @@ def _nearest(a: Float[Array, "*n 3"], u, b: Float[Array, "*n 3"], v):
     scaled = across / jnp.where(crosses, square, 1)[..., None]
     s = jnp.sum(jnp.cross(b - a, v) * scaled, axis=-1)
     t = jnp.sum(jnp.cross(b - a, u) * scaled, axis=-1)
-    within = crosses & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
-    return a + s[..., None] * u, b + t[..., None] * v, safe.normalise(across), within
+    beyond = jnp.maximum(jnp.maximum(-s, s - 1), jnp.maximum(-t, t - 1))
+    within, nearly = crosses & (beyond <= 0), crosses & (beyond <= BORDER)
+    return a + s[..., None] * u, b + t[..., None] * v, safe.normalise(across), within, nearly
 
 
 def _sharp(ours: Edges, theirs: Edges, shallow: Float[Array, ""]) -> Crossing:
@@ -110,7 +114,7 @@ def _sharp(ours: Edges, theirs: Edges, shallow: Float[Array, ""]) -> Crossing:
     shape = (ours.start.shape[0], theirs.start.shape[0], 3)
     a, u = (jnp.broadcast_to(x[:, None], shape) for x in (ours.start, ours.end - ours.start))
     b, v = (jnp.broadcast_to(x[None], shape) for x in (theirs.start, theirs.end - theirs.start))
-    point, other, normal, within = _nearest(a, u, b, v)
+    point, other, normal, within, nearly = _nearest(a, u, b, v)
     outward = jnp.sum(normal * jnp.sum(theirs.normals, axis=1)[None], axis=-1)
     normal = normal * jnp.where(outward < 0, -1, 1).astype(normal.dtype)[..., None]
     fits = jnp.all(jnp.sum(normal[:, :, None] * theirs.normals[None], axis=-1) >= -_TILT, axis=-1)
@@ -121,6 +125,7 @@ def _sharp(ours: Edges, theirs: Edges, shallow: Float[Array, ""]) -> Crossing:
         normal.reshape(-1, 3),
         depth.ravel(),
         (within & fits).ravel(),
+        (nearly & fits).ravel(),
         jnp.broadcast_to(shallow, (depth.size,)),
     )
 
@@ -129,20 +134,24 @@ def _on_side(edges: Edges, axis: Axis) -> Crossing:
     """Edges against a round side: the normal leads from the axis to the edge."""
     shape = edges.start.shape
     b, v = (jnp.broadcast_to(x[None], shape) for x in (axis.start, axis.end - axis.start))
-    point, other, _, within = _nearest(edges.start, edges.end - edges.start, b, v)
+    point, other, _, within, nearly = _nearest(edges.start, edges.end - edges.start, b, v)
     distance = safe.norm(point - other)
     normal = safe.normalise(point - other)
     fits = jnp.all(jnp.sum(normal[:, None] * edges.normals, axis=-1) <= _TILT, axis=-1)
+    fits &= distance > 0
     limit = jnp.broadcast_to(axis.radius, distance.shape)
-    return Crossing(point, normal, axis.radius - distance, within & fits & (distance > 0), limit)
+    return Crossing(point, normal, axis.radius - distance, within & fits, nearly & fits, limit)
 
 
 def _sides(ours: Axis, theirs: Axis) -> Crossing:
     """A round side against a round side."""
     first, second = ours.end - ours.start, theirs.end - theirs.start
-    point, other, _, within = _nearest(ours.start[None], first[None], theirs.start[None], second[None])
+    point, other, _, within, nearly = _nearest(
+        ours.start[None], first[None], theirs.start[None], second[None]
+    )
     distance = safe.norm(point - other)
     normal = safe.normalise(point - other)
     depth = ours.radius + theirs.radius - distance
     surface = point - ours.radius * normal
-    return Crossing(surface, normal, depth, within & (distance > 0), ours.radius + theirs.radius + 0 * depth)
+    limit = jnp.broadcast_to(ours.radius + theirs.radius, depth.shape)
+    return Crossing(surface, normal, depth, within & (distance > 0), nearly & (distance > 0), limit)

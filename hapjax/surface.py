@@ -153,10 +153,12 @@ class Surface(eqx.Module):
         if self.anisotropy is None or self.grain is None:
             return mu
         along = safe.normalise(self.grain - jnp.sum(self.grain * normal) * normal)
-        cosine = jnp.sum(safe.normalise(direction) * along)
-        across = self.anisotropy
-        # 1 / sqrt(cos^2 + sin^2 / across^2), with sin^2 = 1 - cos^2
-        return mu * across / jnp.sqrt(1 - cosine**2 * (1 - across**2))
+        unit = safe.normalise(direction)
+        cosine = jnp.sum(unit * along)
+        sine = unit - cosine * along
+        # 1 / sqrt(cos^2 + sin^2 / across^2); the sine on its own, since 1 - cos^2 would cancel.
+        length = safe.norm(jnp.concatenate([(self.anisotropy * cosine)[None], sine]))
+        return jnp.where(length == 0, mu, mu * safe.divide(self.anisotropy, length))
 
 
 _CONE = Cone()

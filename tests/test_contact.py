@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import hapjax
+from hapjax import rotation
 from helpers import G, away, matrix, moving, quaternion
 
 MU = 0.5
@@ -178,10 +179,14 @@ def energies(scene, state, steps):
     mass, inertia, stiffness = 0.2, 0.2 * EDGE**2 / 6, scene.contact["pair"].stiffness
 
     def one(before, _):
-        state, reply = hapjax.step(scene, before, away(1)[0])
-        motion, (gods,), corners = before.motion["it"], state.contact["pair"], reply.contact["pair"]
+        state, _ = hapjax.step(scene, before, away(1)[0])
+        then, motion, (gods,) = before.motion["it"], state.motion["it"], state.contact["pair"]
+        corners = then.position[None] + rotation.turn(
+            rotation.to_matrix(then.orientation), scene.object["it"].shape.points()
+        )
         kinetic = 0.5 * mass * jnp.sum(motion.velocity**2) + 0.5 * inertia * jnp.sum(motion.spin**2)
-        stretch = jnp.sum(gods.depth**2) + jnp.sum(corners.friction_force**2) / stiffness**2
+        offset = jnp.where(gods.depth[:, None] > 0, (gods.point - corners)[:, :2], 0)
+        stretch = jnp.sum(gods.depth**2) + jnp.sum(offset**2)
         return state, kinetic + mass * G * motion.position[2] + 0.5 * stiffness * stretch
 
     return jax.lax.scan(one, state, steps)[1]

@@ -71,7 +71,9 @@ def oracle(closest, path, dt, stiffness, static, kinetic=None, damping=0.0):
         slack = 1e-14 if sliding else 0.0  # m: stopped means within the circle up to rounding
         sliding = bool(length > radius + slack)
         if sliding:
-            reach = drawn = reach / length * kinetic[face] * normal / stiffness
+            radius = kinetic[face] * normal / stiffness
+            reach = reach / length * radius
+            drawn = drawn * min(1.0, radius / max(np.linalg.norm(drawn), 1e-300))
         god, touching = s + drawn, True
         out.append((god, normal * n + stiffness * reach, static[face], normal))
     return [np.array(x) for x in zip(*out, strict=True)]

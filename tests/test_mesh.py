@@ -394,34 +394,6 @@ def test_a_body_of_a_mesh_turns_about_its_own_centre():
     np.testing.assert_allclose(pose[-1, :3] + turned @ mesh.centre(), mesh.centre(), atol=1e-12)
 
 
-# Convex polytopes -----------------------------------------------------------------------------------------
-
-
-def test_a_convex_hull_of_a_boxs_corners_is_the_box():
-    box = hapjax.Box((0.06, 0.04, 0.02))
-    corners = [(x, y, z) for x in (0.03, -0.03) for y in (0.02, -0.02) for z in (0.01, -0.01)]
-    hull = hapjax.Convex([*corners, (0.01, 0.0, 0.0)])
-    assert hull.vertices.shape == (8, 3) and len(hull.faces) == 6
-    queries = jnp.asarray(np.random.default_rng(5).uniform(-0.04, 0.04, (500, 3)))
-    ours, truth = closest(hull, queries), closest(box, queries)
-    np.testing.assert_allclose(ours.depth, truth.depth, atol=1e-15)
-    np.testing.assert_allclose(ours.point, truth.point, atol=1e-12)
-    # The flat faces under other numbers.
-    named = np.asarray(hull.face_normals())[np.asarray(ours.face)]
-    flat = np.asarray(truth.depth) > 0
-    np.testing.assert_allclose(named[flat], np.asarray(ours.normal)[flat], atol=1e-12)
-    assert float(hull.volume()) == pytest.approx(0.06 * 0.04 * 0.02)
-    np.testing.assert_allclose(hull.inertia_per_mass(), np.diag(box.inertia_per_mass()), atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    "points", [[[0, 0, 0]] * 5, [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], "box", [[1.0, 2]]]
-)
-def test_points_without_a_hull_are_refused(points):
-    with pytest.raises(hapjax.InputError, match="allowed: at least four points"):
-        hapjax.Convex(points)
-
-
 # The price ------------------------------------------------------------------------------------------------
 
 
@@ -432,27 +404,3 @@ def test_a_step_has_as_many_equations_whatever_the_size():
         ).jaxpr
 
     assert equations(program(mesh_of("notched"))) == equations(program(hapjax.Mesh(*icosphere(3, 0.04))))
-
-
-@pytest.mark.parametrize(
-    ("change", "fault"),
-    [
-        (lambda v, t: (v, t[1:]), "3 of the triangles are beside a hole"),
-        (lambda v, t: (v, t[:, ::-1]), "48 of the triangles face inward"),
-        (lambda v, t: (v, np.concatenate([t[:1, ::-1], t[1:]])), "the winding is not consistent"),
-        (lambda v, t: (v * 1e-5, t), "48 of the triangles have an area below 1e-12 m"),
-        (
-            lambda v, t: (v, np.concatenate([t, t[4:5]])),
-            "1 of the triangles are there twice, the first is 48",
-        ),
-        (
-            lambda v, t: (np.where(v == v[3], np.nan, v), t),
-            "of the vertices have a number that is not finite",
-        ),
-        (lambda v, t: (v, t + 1), "of the triangles have a corner that is no whole number from 0 to 25"),
-        (lambda v, t: (v[:, :2], t), r"vertices have the shape \(26, 2\)"),
-    ],
-)
-def test_a_faulty_surface_is_refused(change, fault):
-    with pytest.raises(hapjax.InputError, match=fault):
-        hapjax.Mesh(*change(*notched()))

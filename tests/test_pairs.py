@@ -163,12 +163,39 @@ def test_names_in_the_other_order_are_the_same_contact():
     assert paths[0] == pytest.approx(np.asarray(paths[1]), abs=1e-9)
 
 
+@pytest.mark.parametrize("other", ["box", "capsule", "cylinder", "ball", "plane"])
+def test_a_smooth_mesh_that_has_no_edges_touches_by_its_vertices(other):
+    shape = {**FREE, "plane": hapjax.Plane()}[other]
+    smooth = hapjax.Mesh(*meshes.icosphere(3, 0.02))
+    objects = {
+        "it": hapjax.Object(smooth, None, hapjax.Body(MASS), (0, 0, _reach(shape, UPRIGHT) + 0.0198)),
+        "below": hapjax.Object(shape),
+    }
+    pair = hapjax.Contact(2e3, mu=0.5, between=("it", "below"))
+    scene = hapjax.Scene(objects, {"pair": pair})
+    assert smooth.edges() is None
+    state = moving(hapjax.init(scene, away(1)[0]), "it", velocity=(0, 0, -0.1))
+    _, replies = hapjax.rollout(scene, state, away(4))
+    assert replies.contact["pair"].normal_force[-1].sum() > 0
+
+
+def test_damping_slows_a_box_that_slides_over_crossing_edges():
+    """Held by springs alone it swings on and on; the damper at its crossings takes that away."""
+    left = {}
+    for damping in (None, 3.0):
+        scene = over(BOX, TURNED, BEAM, UPRIGHT, 1e-5, damping=damping, mu=5.0)
+        state = moving(hapjax.init(scene, away(1)[0]), "it", velocity=(2e-3, 2e-3, 0))
+        _, replies = hapjax.rollout(scene, state, away(1500))
+        left[damping] = np.ptp(np.asarray(replies.pose)[-300:, 0, :2])
+    assert left[3.0] < 0.2 * left[None]
+
+
 # Stacks ---------------------------------------------------------------------------------------------------
 
 EDGE = 0.04
 
 
-def stack(yaw=0.0, dt=1e-3):
+def stack(yaw=0.0, offset=0.0, dt=1e-3):
     """Three 50 g cubes on each other on a floor; fingers feel the lowest."""
     surface = hapjax.Surface(1000.0, mu=1.0, damping=1.0)
     objects = {
@@ -176,7 +203,7 @@ def stack(yaw=0.0, dt=1e-3):
             hapjax.Box((EDGE,) * 3),
             surface if i == 0 else None,
             hapjax.Body(MASS),
-            (0, 0, EDGE / 2 + i * EDGE),
+            (i * offset, 0, EDGE / 2 + i * EDGE),
             quaternion((0, 0, 1), i * yaw) if yaw else UPRIGHT,
         )
         for i in range(3)
@@ -191,16 +218,22 @@ def stack(yaw=0.0, dt=1e-3):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("yaw", [0.0, 0.3])
-def test_a_stack_of_three_cubes_stands_for_ten_seconds(yaw):
-    scene = stack(yaw)
+@pytest.mark.parametrize(("yaw", "offset"), [(0.0, 0.0), (0.3, 0.0), (0.0, 1e-6), (0.0, 4e-3), (1e-6, 4e-3)])
+def test_a_stack_of_three_cubes_stands_for_ten_seconds(yaw, offset):
+    """Also with faces that lie flush, and where each cube stands aside of the one below."""
+    scene = stack(yaw, offset)
     hips = away(10_000)
     state, replies = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
     pose = np.asarray(replies.pose)
-    assert np.abs(pose[-1] - pose[3000]).max() < 1e-9
-    assert np.abs(pose[-1, :, :2]).max() < 1e-6
+    moved = pose[-1] - pose[0]
+    if offset < 1e-3:
+        assert np.abs(pose[-1] - pose[3000]).max() < 1e-6
+        assert np.abs(moved[:, :2]).max() < 1e-6
+    assert np.abs(pose[-1] - pose[-1000]).max() < 1e-4  # a wobble dies down slowly, at the rate c g / 2
+    assert np.abs(moved[:, :3]).max() < 6e-4
     for i, name in enumerate(scene.contact):
-        assert replies.contact[name].normal_force[-1].sum() == pytest.approx((3 - i) * MASS * G, rel=1e-9)
+        weight = replies.contact[name].normal_force[-1000:].sum(axis=1).mean()
+        assert weight == pytest.approx((3 - i) * MASS * G, rel=1e-3 if offset < 1e-3 else 1e-2)
 
 
 @pytest.mark.slow

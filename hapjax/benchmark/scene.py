@@ -16,6 +16,7 @@ from rich.table import Column, Table
 from ..body import Body
 from ..errors import InputError
 from ..files import replacing
+from ..integrate import SemiImplicit
 from ..scene import Object, Scene, dtype_of
 from ..simulate import init, step
 from ..surface import Surface
@@ -96,6 +97,9 @@ def without_each_part(scene: Scene) -> Iterator[tuple[str, Scene]]:
         held = getattr(scene.world, field)
         if held is not None and held is not False:
             yield f"world.{field}", _changed(scene, world=dataclasses.replace(scene.world, **{field: off}))
+    if not isinstance(scene.integrator, SemiImplicit):
+        plain = SemiImplicit(scene.integrator.dt, scene.integrator.substeps)
+        yield "integrator.method", _changed(scene, integrator=plain)
     if scene.integrator.substeps > 1:
         yield (
             "integrator.substeps",

@@ -61,8 +61,12 @@ def drag(
 def slid(
     press: Press, pull: Float[Array, "3"], limit: Float[Array, ""], dragged: Bool[Array, ""]
 ) -> Friction:
-    """The god-object where it was, or dragged to where its spring explains the limited pull."""
+    """The limited pull, and the god-object where it was, or dragged to where its spring alone is at the limit.
+
+    Had the god-object to explain the damper's part of the force too, the spring would store what the damper gave.
+    """
     is_cut = dragged & (safe.norm(pull) > limit)
     force = jnp.where(is_cut, capped(pull, limit), pull)
-    offset = jnp.where(is_cut, force / press.stiffness, press.offset)
+    spring = press.stiffness * safe.norm(press.offset)
+    offset = press.offset * jnp.where(is_cut & (spring > limit), safe.divide(limit, spring), 1)
     return Friction(offset, force, None if press.sliding is None else dragged.astype(limit.dtype))

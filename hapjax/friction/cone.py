@@ -9,9 +9,9 @@ from ._law import Friction, Law, Press
 class Cone(Law):
     """Coulomb's cone with MHS's circle: the offset stays if the pull is within the limit, else goes to its edge.
 
-    The pull is k o, plus the `viscous` force where there is damping; the whole is limited to mu f_n, and the offset is
-    set to what explains the limited force, so |force| <= mu f_n holds to rounding and the friction circle has the
-    radius mu f_n / k (MHS section 2, there with f_n = k d and so radius mu d).
+    The pull is k o, plus the `viscous` force where there is damping; the whole is limited to mu f_n, so
+    |force| <= mu f_n holds to rounding, and so is the spring's own part: the friction circle has the radius mu f_n / k
+    (MHS section 2, there with f_n = k d and so radius mu d).
 
     With a mu of sliding of its own the static limit holds until it is passed, then the kinetic one while the offset is
     being dragged; what it remembers is 1 then, else 0. Dragged means past the kinetic limit by more than rounding.
@@ -33,5 +33,7 @@ class Cone(Law):
             still_dragged = size > limit + press.stiffness * press.rounding
             dragged = jnp.where(press.sliding > 0, still_dragged, dragged)
         force = jnp.where(dragged, pull * safe.divide(limit, size), pull)
-        offset = jnp.where(dragged, force / press.stiffness, press.offset)
+        # Had the god-object to explain the damper's part of the force too, the spring would store what the damper gave.
+        stretch = safe.norm(spring)
+        offset = press.offset * jnp.where(dragged & (stretch > limit), safe.divide(limit, stretch), 1)
         return Friction(offset, force, None if press.sliding is None else dragged.astype(size.dtype))

@@ -20,10 +20,11 @@ class LuGre(Law):
 
     with v the point's slip velocity over the surface, k the surface's `tangential_stiffness` (sigma_0), and z minus the
     offset. At constant speed F = f_n (g(v) + sigma_2 v). z over a step is exact for travel at constant velocity, so
-    the law is stable for any step; dz/dt is that at the step's end. z is cut to the static circle where the normal
+    z is stable for any step; dz/dt is that at the step's end. z is cut to the static circle where the normal
     force falls, which the equations of 1995 leave open: their normal force is constant. F itself may pass
     mu_s f_n by the two damping terms. The tangential part of the surface's `damping` does not apply: sigma_1 is in its
-    place. sigma_1 = sigma_2 = 0 and `mu` alone: Dahl's law.
+    place. sigma_1 = sigma_2 = 0 and `mu` alone: Dahl's law. The damping terms are those of the velocity at hand: a mass m
+    that slides freely is stable for f_n (sigma_1 + sigma_2) dt < 2 m.
 
     **Arguments:**
 

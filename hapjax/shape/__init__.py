@@ -1,5 +1,6 @@
 """Shapes: closest surface point, outward normal, depth and face of any query point."""
 
+from ._shape import BORDER as BORDER
 from ._shape import Axis as Axis
 from ._shape import Corner as Corner
 from ._shape import Edges as Edges

@@ -137,6 +137,10 @@ class Shape(eqx.Module):
         return None
 
 
+BORDER = 1e-3
+"""By how much of its size a face goes on holding beyond its border: faces that lie flush do not lose each other."""
+
+
 def begin(near: SurfacePoint, query: Float[Array, "3"]) -> Track:
     """The track of a point that has just appeared at `query`, with the closest surface point `near`."""
     stretch = jnp.where(near.depth > 0, near.depth * near.normal, 0)

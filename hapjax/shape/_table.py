@@ -9,12 +9,12 @@ from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
-_FEW = 256
+_FEW = 80  # of three fingers; more take long to compile
 
 
 @jax.custom_jvp
 def rows(table: Float[Array, "N *row"], index: Int[Array, "*n"]) -> Float[Array, "..."]:
-    """`table[index]`, for up to some hundred rows read one by one.
+    """`table[index]`, a few rows read one by one.
 
     XLA's CPU compiler counts a gather that is fused with others as one that reads the whole table, and spreads it over
     threads; to wake them takes longer than a step. A slice it counts as what it is.
@@ -40,6 +40,6 @@ def _read(table: Float[Array, "N *row"], index: Int[Array, ""]) -> Float[Array, 
 def _(size, batched, table, index):
     if batched[0]:
         return jax.vmap(lambda t, i: t[i], in_axes=(0, 0 if batched[1] else None))(table, index), True
-    if size > _FEW:
+    if not 0 < size <= _FEW:
         return table[index], True
     return jnp.stack([_read(table, i) for i in index]), True

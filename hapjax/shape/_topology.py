@@ -52,29 +52,72 @@ def checked(vertices: Any, triangles: Any, scale: float = 1.0) -> tuple[np.ndarr
     )
     faces = faces.astype(np.int64)
 
+    _refuse_surface(points, faces, scale)
+    return points, faces
+
+
+def _refuse_surface(points: np.ndarray, faces: np.ndarray, scale: float) -> None:
+    """Refuse triangles that are no closed surface around a solid: everything that is wrong, in one sentence."""
+    found = []
+
+    def find(bad: np.ndarray, what: str) -> None:
+        if bad.any():
+            found.append(
+                f"{np.count_nonzero(bad)} of the triangles {what}, the first is {int(np.argmax(bad))}"
+            )
+
     area = np.linalg.norm(_area_normals(points * scale, faces), axis=1) / 2
-    _refuse(area < SMALLEST_AREA, "triangles", f"have an area below {SMALLEST_AREA} m^2")
+    find(area < SMALLEST_AREA, f"have an area below {SMALLEST_AREA} m^2")
     _, first, inverse, number = np.unique(
         np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
     )
     again = np.ones(len(faces), bool)
     again[first] = False
-    _refuse(again, "triangles", "are there twice")
+    find(again, "are there twice")
     key, back = _edge_keys(faces, len(points))
     flat = np.sort(key.ravel())
-    _refuse(
+    find(
         (np.searchsorted(flat, key, "right") - np.searchsorted(flat, key) > 1).any(axis=1),
-        "triangles",
         "have an edge that another triangle has in the same direction (the winding is not consistent)",
     )
-    _refuse(
-        ~np.isin(back, flat).any(axis=1) | ~np.isin(back, flat).all(axis=1),
-        "triangles",
-        "are beside a hole (the surface is not watertight)",
+    find(~np.isin(back, flat).all(axis=1), "are beside a hole (the surface is not watertight)")
+    if not found:
+        find(_faces_inward(points, faces), "face inward")
+    if found:
+        raise InputError(f"{'; '.join(found)}; {_ALLOWED}")
+
+
+def _faces_inward(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The triangles of those connected pieces of a closed surface that have the solid on their outer side.
+
+    Beside the largest triangle of each piece, a little outward: there the winding number is 0 of a sound surface, also
+    in a cavity.
+    """
+    from scipy.sparse import coo_matrix  # here, since it takes a while to load
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_matrix(
+        (np.ones(3 * len(faces)), (np.repeat(faces[:, 0], 3), faces.ravel())), shape=(len(points),) * 2
     )
-    if _volume(points, faces) <= 0:
-        raise InputError(f"{len(faces)} of the triangles face inward, the first is 0; {_ALLOWED}")
-    return points, faces
+    piece = connected_components(graph, directed=False)[1][faces[:, 0]]
+    normals = _area_normals(points, faces)
+    size = np.linalg.norm(normals, axis=1)
+    bad = np.zeros(len(faces), bool)
+    for label in np.unique(piece):
+        own = np.flatnonzero(piece == label)
+        largest = own[np.argmax(size[own])]
+        step = 1e-4 * np.sqrt(size[largest]) * normals[largest] / size[largest]
+        bad[own] = abs(_winding(points[faces] - points[faces[largest]].mean(axis=0) - step)) > 0.5
+    return bad
+
+
+def _winding(corners: np.ndarray) -> float:
+    """How often triangles (T, 3, 3) go around the origin (van Oosterom and Strackee 1983, solid angles over 4 pi)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+    ab, bc, ca = (np.sum(x * y, axis=1) for x, y in ((a, b), (b, c), (c, a)))
+    volume = np.sum(a * np.cross(b, c), axis=1)
+    return float(np.sum(np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)) / (2 * np.pi))
 
 
 def topology(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Topology:
@@ -121,11 +164,6 @@ def _edge_keys(triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarra
     """A number for each directed edge, and that of the same edge in the other direction."""
     start, end = triangles, np.roll(triangles, -1, axis=1)
     return start * count + end, end * count + start
-
-
-def _volume(vertices: np.ndarray, triangles: np.ndarray) -> float:
-    centred = vertices - vertices.mean(axis=0)
-    return float(np.sum(centred[triangles[:, 0]] * _area_normals(centred, triangles)) / 6)
 
 
 def _refuse(bad: Any, what: str, fault: str) -> None:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from .. import safe
 from .._validate import as_float, check_positive
-from ._shape import Edges, Shape, SurfacePoint, Track, begin, ease
+from ._shape import BORDER, Edges, Shape, SurfacePoint, Track, begin, ease
 
 # One row a vertex, in units of half the edge length.
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -64,7 +64,7 @@ class Box(Shape):
         face = jnp.where(jnp.any(track.stretch != 0), old, _entered(half, track.query, query))
         normal = _normal(face, query.dtype)
         depth = jnp.sum(half * jnp.abs(normal)) - jnp.sum(query * normal)
-        beside = jnp.any((normal == 0) & (jnp.abs(query) > half))
+        beside = jnp.any((normal == 0) & (jnp.abs(query) > (1 + BORDER) * half))
         held = (face >= 0) & ~beside
         face = jnp.where(face >= 0, face, old)
         near = SurfacePoint(query + depth * normal, normal, jnp.where(held, depth, 0), face)

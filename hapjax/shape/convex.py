@@ -12,7 +12,8 @@ from ..errors import InputError
 from .mesh import Mesh
 
 _ALLOWED = "allowed: at least four points in m that do not all lie in one plane"
-_FLAT = 1e-9  # by so much the unit normals of two triangles of one flat face may differ
+# By so much the unit normals of two triangles of one flat face may differ: more than single precision rounds.
+_FLAT = 1e-5
 
 
 class Convex(Mesh):

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from .. import safe
 from .._validate import as_float, check_positive
-from ._shape import Axis, Edges, Shape, SurfacePoint, Track, begin, ease
+from ._shape import BORDER, Axis, Edges, Shape, SurfacePoint, Track, begin, ease
 
 # Each rim as a polygon, where it crosses another object's edges; its chords lie up to 2 % of the radius inside.
 _CHORDS = 16
@@ -59,7 +59,8 @@ class Cylinder(Shape):
         on_side = face == 0
         normal = self._normal(face, query)
         depth = jnp.where(on_side, self.radius - _radial(query), half - query[2] * normal[2])
-        beside = jnp.where(on_side, jnp.abs(query[2]) > half, _radial(query) > self.radius)
+        wide = 1 + BORDER
+        beside = jnp.where(on_side, jnp.abs(query[2]) > wide * half, _radial(query) > wide * self.radius)
         held = (face >= 0) & ~beside
         face = jnp.where(face >= 0, face, old)
         return ease(

@@ -105,19 +105,13 @@ class Mesh(Shape):
 
     def closest(self, query: Float[Array, "3"]) -> SurfacePoint:
         """Closest surface point to `query` (m, in the mesh's frame), of all triangles; see `Shape.closest`."""
-        still = frozen(self)
-        seen = still.vertices[still.triangles] - frozen(query / self.scale)[None, None]
-
-        def square(corners):
-            point = nearest_point(corners, nearest_part(corners))
-            return dot(point, point)
-
-        return self._near(jnp.argmin(jax.vmap(square)(seen)).astype(jnp.int32), query)
+        return self._near(self._nearest(query), query)
 
     def start(self, query: Float[Array, "3"]) -> Track:
         """A point that appears inside is held by the nearest triangle."""
-        near = self.closest(query)
-        return begin(near, query)
+        triangle = self._nearest(query)
+        track = begin(self._near(triangle, query), query)
+        return Track(track.query, track.stretch, triangle.astype(query.dtype))
 
     def follow(self, track: Track, query: Float[Array, "3"]) -> tuple[Track, SurfacePoint]:
         """The local closest point downhill from where the point was held, or came in; see `Shape.follow`."""
@@ -153,15 +147,28 @@ class Mesh(Shape):
         """The vertices, m."""
         return self.scale * self.vertices
 
-    def edges(self) -> Edges:
+    def edges(self) -> Edges | None:
         """The convex edges at which the surface bends by more than 10 degrees."""
+        if self.creases.vertices.shape[0] == 0:
+            return None
         start, end = (self.scale * self.vertices[i.astype(jnp.int32)] for i in self.creases.vertices.T)
-        corners = jax.vmap(jax.vmap(self._corners))(self.creases.triangles.astype(jnp.int32))
+        corners = self.vertices[self.triangles[self.creases.triangles.astype(jnp.int32)]]
         return Edges(start, end, jax.vmap(jax.vmap(unit_normal))(corners))
 
     def thickness(self) -> Float[Array, ""]:
         """Volume over area: half the thickness of a plate."""
         return self.scale * self.creases.thickness
+
+    def _nearest(self, query: Float[Array, "3"]) -> Int[Array, ""]:
+        """The triangle nearest to `query`, of all."""
+        still = frozen(self)
+        seen = still.vertices[still.triangles] - frozen(query / self.scale)[None, None]
+
+        def square(corners):
+            point = nearest_point(corners, nearest_part(corners))
+            return dot(point, point)
+
+        return jnp.argmin(jax.vmap(square)(seen)).astype(jnp.int32)
 
     def _corners(self, triangle: Int[Array, ""]) -> Float[Array, "3 3"]:
         """The corners of a triangle, before the scale."""
