@@ -169,8 +169,9 @@ def _points_on(contact: Contact, gods: GodObject, a: Mover, b: Mover, masked: bo
         track, near = None, jax.vmap(shape.closest)(points)
         points = points - radius * near.normal
         near = eqx.tree_at(lambda n: n.depth, near, near.depth + radius)
-    if masked:  # the balls at a capsule's ends touch by their own points
-        side = jax.vmap(shape.has_side)(points)  # pyright: ignore[reportArgumentType]
+    if masked:
+        assert isinstance(shape, Capsule)  # the balls at a capsule's ends touch by their own points
+        side = jax.vmap(shape.has_side)(points)
         near = eqx.tree_at(lambda n: n.depth, near, jnp.where(side, near.depth, 0))
     places = b.placed.to_world(points)
     slip = None

@@ -41,6 +41,7 @@ def test_points_without_a_hull_are_refused(points):
         hapjax.Convex(points)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("face", range(6))
 def test_a_finger_that_starts_inside_stays_with_the_nearest_face(face):
     """Dragged along it, as on the box; not with the face whose number is that of a triangle."""

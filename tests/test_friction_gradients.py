@@ -38,6 +38,7 @@ def scaled(tree):
     return numbers / size, lambda x: rebuild(x * size)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_every_number_of_a_law_has_its_gradient(name):
     """A point that sticks, slides, turns and stops, with grain, damping and a tangential stiffness of its own."""

@@ -5,6 +5,7 @@ all derivatives with respect to x can be compared with each other.
 """
 
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -125,7 +126,7 @@ def ball_on_floor():
 
 def stack():
     """A box lies turned across a fixed thin beam, whose edges cross its own; a free capsule lies across the box."""
-    kind = dict(mu=0.4, damping=2.0)
+    kind: dict[str, Any] = dict(mu=0.4, damping=2.0)
     scene = hapjax.Scene(
         object={
             "it": hapjax.Object(

@@ -60,6 +60,7 @@ def dragged(shape, way):
 # Closest points -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FORMS)
 def test_closest_point_and_side_are_those_of_brute_force(name, dtype):
     vertices, triangles = FORMS[name]
@@ -113,6 +114,7 @@ def test_singular_points_have_a_unit_normal_and_finite_gradients():
 # First touch ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["notched", "torus"])
 def test_first_touch_is_that_of_brute_force(name):
     vertices, triangles = FORMS[name]
@@ -188,6 +190,7 @@ def test_no_approach_falls_through(name, number, count):
     assert free.sum() > 50 and np.all(depth[few][free] == 0)
 
 
+@pytest.mark.slow
 def test_a_way_through_a_thin_plate_is_held_by_the_first_face():
     plate = trimesh.creation.box((0.1, 0.1, 1e-5))
     mesh = hapjax.Mesh(plate.vertices, plate.faces)
@@ -196,6 +199,7 @@ def test_a_way_through_a_thin_plate_is_held_by_the_first_face():
     np.testing.assert_allclose(held.normal, [[0, 0, 1]] * 2, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_tiny_triangle_is_felt():
     # One face of a cube with a triangle of 1.1e-12 m^2 in its middle.
     cube = trimesh.creation.box((0.04, 0.04, 0.04))
@@ -217,6 +221,7 @@ def test_a_tiny_triangle_is_felt():
 # Contact --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_concave_corner_holds_by_up_to_three_planes():
     """Against SciPy's bounded least squares: the nearest point beyond three planes."""
     mesh = mesh_of("notched")
@@ -242,6 +247,7 @@ def test_a_concave_corner_holds_by_up_to_three_planes():
         )
 
 
+@pytest.mark.slow
 def test_friction_holds_on_both_walls_of_a_corner():
     """A finger pressed equally into two walls at a right angle, pulled along their line."""
     press, mu = 1e-3, 0.8

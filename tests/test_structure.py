@@ -146,6 +146,7 @@ def test_gimbals_god_angles_and_pivots_cost_only_those_who_ask_for_them():
     assert len(program(pivoted).invars) == len(program(base).invars)
 
 
+@pytest.mark.slow
 def test_the_benchmark_switches_off_what_costs():
     """Every part of a full scene is among those that `hapjax benchmark scene` leaves out, and each saves equations."""
     scene = full(

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from .. import safe
 
@@ -126,10 +126,6 @@ class Shape(eqx.Module):
 
     def axis(self) -> Axis | None:
         """Its round side."""
-        return None
-
-    def has_side(self, query: Float[Array, "3"]) -> Bool[Array, ""] | None:
-        """Whether the round side is closest to `query`, and not a ball at its end. `None`: it has no such balls."""
         return None
 
     def thickness(self) -> Float[Array, ""] | None:

@@ -60,7 +60,7 @@ def _refuse_surface(points: np.ndarray, faces: np.ndarray, scale: float) -> None
     """Refuse triangles that are no closed surface around a solid: everything that is wrong, in one sentence."""
     found = []
 
-    def find(bad: np.ndarray, what: str) -> None:
+    def find(bad: Any, what: str) -> None:
         if bad.any():
             found.append(
                 f"{np.count_nonzero(bad)} of the triangles {what}, the first is {int(np.argmax(bad))}"
