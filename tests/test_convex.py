@@ -2,6 +2,7 @@
 
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -66,6 +67,33 @@ def test_corners_in_single_precision_have_the_same_flat_faces():
     turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
     corners = np.array([(x, y, z) for x in (0.03, -0.03) for y in (0.02, -0.02) for z in (0.01, -0.01)])
     assert len(hapjax.Convex((corners @ turn).astype(np.float32)).faces) == 6
+
+
+@pytest.mark.slow
+def test_gradients_are_those_of_differences():
+    """Of what holds a finger, by its place, the hull's scale and its vertices."""
+    points = np.random.default_rng(3).standard_normal((20, 3))
+    hull = hapjax.Convex(0.04 * points / np.linalg.norm(points, axis=1)[:, None])
+    middle = np.asarray(hull.vertices[hull.triangles[4]]).mean(axis=0)
+    start, query = jnp.asarray(1.1 * middle), jnp.asarray(0.97 * middle)
+
+    @jax.jit
+    def answer(query, scale, vertices):
+        moved = eqx.tree_at(lambda m: (m.scale, m.vertices), hull, (scale, vertices))
+        track = hapjax.shape.Track(start, jnp.zeros(3), jnp.zeros(()))
+        _, held = moved.follow(track, query)
+        return jnp.concatenate([held.point, held.normal, held.depth[None]])
+
+    at = (query, hull.scale, hull.vertices)
+    assert answer(*at)[-1] > 1e-4
+    forward, reverse = jax.jacfwd(answer, (0, 1, 2))(*at), jax.jacrev(answer, (0, 1, 2))(*at)
+    for i, point in enumerate(at):
+        np.testing.assert_allclose(forward[i], reverse[i], atol=1e-9)
+        way = jnp.asarray(np.random.default_rng(i).standard_normal(point.shape))
+        sides = [answer(*at[:i], point + h * way, *at[i + 1 :]) for h in (1e-7, -1e-7)]
+        slope = np.tensordot(np.asarray(forward[i]), np.asarray(way), point.ndim)
+        np.testing.assert_allclose(slope, (sides[0] - sides[1]) / 2e-7, atol=1e-5, rtol=1e-6)
+        assert np.any(np.asarray(forward[i]) != 0)
 
 
 # Refusals ------------------------------------------------------------------------------------------
