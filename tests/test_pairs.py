@@ -1,5 +1,6 @@
 """Any two shapes against each other: they rest, they stack, they conserve momentum."""
 
+import itertools
 from typing import Any
 
 import equinox as eqx
@@ -119,8 +120,7 @@ FREE = {"box": BOX, "ball": BALL, "cylinder": CYLINDER, "capsule": CAPSULE, "tab
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("second", FREE)
-@pytest.mark.parametrize("first", FREE)
+@pytest.mark.parametrize(("first", "second"), list(itertools.combinations_with_replacement(FREE, 2)))
 def test_a_collision_keeps_momentum_and_angular_momentum(first, second):
     bodies = hapjax.Body(0.1, inertia=(4e-5, 5e-5, 6e-5)), hapjax.Body(0.3, inertia=(2e-4, 1.5e-4, 1e-4))
     turns = quaternion((1, 2, 3), 0.8), quaternion((2, -1, 1), 1.7)
