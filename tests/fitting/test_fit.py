@@ -302,7 +302,9 @@ def test_a_moving_object_is_fitted_from_forces_and_poses():
     assert set(result.residual_rms) == {"force", "pose", "angle"}
     assert result.residual_rms["pose"] == pytest.approx(1e-4, rel=0.1)
     mass = ["object.cube.body.mass"]
-    poses = fitted(shaken_cube(), scene=held_cube(0.25), free=mass, observe="pose", noise=None, spread=1.3)
+    # Poses alone have a narrow basin: as many starts as a user has.
+    few = dict(observe="pose", noise=None, spread=1.3, starts=8)
+    poses = fitted(shaken_cube(), scene=held_cube(0.25), free=mass, **few)
     assert within(poses, mass[0], 0.2, widths=4) and set(poses.residual_rms) == {"pose", "angle"}
     assert poses.parameters[mass[0]].standard_error > result.parameters[mass[0]].standard_error
 
