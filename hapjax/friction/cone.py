@@ -4,6 +4,7 @@ import jax.numpy as jnp
 
 from .. import safe
 from ._law import Friction, Law, Press
+from ._slide import pull_of, slid
 
 
 class Cone(Law):
@@ -23,8 +24,7 @@ class Cone(Law):
 
     def hold(self, press: Press) -> Friction:
         """The friction of one step."""
-        spring = press.stiffness * press.offset
-        pull = spring if press.viscous is None else spring + press.viscous
+        pull = pull_of(press)
         size = safe.norm(pull)
         limit = press.static(pull) * press.normal_force
         dragged = size > limit
@@ -32,8 +32,4 @@ class Cone(Law):
             limit = press.kinetic(pull) * press.normal_force
             still_dragged = size > limit + press.stiffness * press.rounding
             dragged = jnp.where(press.sliding > 0, still_dragged, dragged)
-        force = jnp.where(dragged, pull * safe.divide(limit, size), pull)
-        # Had the god-object to explain the damper's part of the force too, the spring would store what the damper gave.
-        stretch = safe.norm(spring)
-        offset = press.offset * jnp.where(dragged & (stretch > limit), safe.divide(limit, stretch), 1)
-        return Friction(offset, force, None if press.sliding is None else dragged.astype(size.dtype))
+        return slid(press, pull, limit, dragged)
