@@ -108,9 +108,14 @@ def holding_instead(
 def is_needed(bound: float, free: Float[Array, " p"], problem: Problem, i: int, variance: float) -> bool:
     """Whether the data need a mu of about `bound`: with a tenth of it they are explained noticeably worse.
 
-    Fingers on a surface whose forces are all below the noise need none, whatever the model has them do.
+    Fingers on a surface whose forces are all below the noise need none, whatever the model has them do. A kinetic
+    mu is lowered with its static one, which it is never above.
     """
-    less = free.at[i].set(value_near(problem.parameters[i], bound / 10, free))
+    kinetic = problem.parameters[i].path.replace("mu_static", "mu_kinetic")
+    less = free
+    for j, parameter in enumerate(problem.parameters):
+        if j == i or (parameter.path == kinetic and parameter.index == problem.parameters[i].index):
+            less = less.at[j].set(value_near(parameter, bound / 10, free))
     enough = free.at[i].set(value_near(problem.parameters[i], 1.02 * bound, free))
     grown = 2 * (float(loss_at(less, problem)) - float(loss_at(enough, problem)))
     return grown > NOTICEABLE * variance
