@@ -1,0 +1,64 @@
+"""What errors over dt and over run time say: the order of convergence, and who is ahead at equal run time."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+DECADES, LEAST = 1.5, 3  # the finest decades of dt that a fit takes, and the least number of points
+
+
+def fitted_order(dts: Sequence[float], errors: Sequence[float | None], floor: float) -> float | None:
+    """The slope of log error over log dt in the finest 1.5 decades in which errors stand above `floor`.
+
+    `None`: fewer than three such points.
+    """
+    kept = [
+        (dt, e)
+        for dt, e in zip(dts, errors, strict=True)
+        if e is not None and np.isfinite(e) and e > 3 * floor
+    ]
+    if not kept:
+        return None
+    finest = min(dt for dt, _ in kept)
+    fit = np.log10([pair for pair in kept if pair[0] <= finest * 10**DECADES * 1.01])
+    return float(np.polyfit(fit[:, 0], fit[:, 1], 1)[0]) if len(fit) >= LEAST else None
+
+
+def best_within(curves: Mapping[str, Sequence[Any]], run: float, floor: float) -> tuple[float, str, float] | None:
+    """The least law error among all points that take at most `run` s a simulated second: error, curve, dt."""
+    found = [
+        (max(p.law_error, floor), name, p.dt)
+        for name, points in curves.items()
+        for p in points
+        if p.run <= run and np.isfinite(p.law_error)
+    ]
+    return min(found, default=None)
+
+
+def equal_time(
+    ours: Mapping[str, Sequence[Any]], theirs: Mapping[str, Sequence[Any]], floor: float
+) -> list[dict[str, Any]]:
+    """Who errs how much at the run times that both sides have, a third of a decade apart.
+
+    Both sides at their best: any integrator, any dt that takes no longer. A `factor` up to 1: the first side is at or
+    below the other.
+    """
+    runs = [[p.run for points in side.values() for p in points] for side in (ours, theirs)]
+    if not all(runs):
+        return []
+    first, last = max(map(min, runs)), max(map(max, runs))
+    rows = []
+    for run in first * 10 ** (np.arange(np.ceil(3 * np.log10(last / first)) + 1) / 3):
+        left, right = best_within(ours, run, floor), best_within(theirs, run, floor)
+        if left is None or right is None:
+            continue
+        rows.append(
+            {
+                "run": float(run),
+                "factor": left[0] / right[0],
+                "hapjax": {"error": left[0], "integrator": left[1], "dt": left[2]},
+                "mujoco": {"error": right[0], "integrator": right[1], "dt": right[2]},
+            }
+        )
+    return rows

@@ -1,0 +1,109 @@
+"""What a case is: a scene, the fingers' motion, what is compared at the end, and the truth."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ... import rotation
+from ...body import Motion
+from ...integrate import Integrator
+from ...scene import Scene
+from ...simulate import State
+
+G = 9.81  # m/s^2
+
+ORDERS = {"semi_implicit": 1, "semi_implicit_matrix": 1, "pivot": 1, "lie_midpoint": 2, "implicit": 1}
+"""The order of each integrator where the force is smooth."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """The order of convergence that theory gives, and why; `value` `None`: no order can be seen."""
+
+    value: float | None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Mujoco:
+    """The same case for MuJoCo.
+
+    `xml`: the model, less integrator and time step; `start(model, data)` sets the start, `read(model, data)` gives what
+    the case compares; `change(model)` is done at half time; `path(t)` (T, 3 n): where the mocap bodies are.
+    """
+
+    xml: str
+    read: Callable[[Any, Any], Any]
+    start: Callable[[Any, Any], None] = lambda model, data: None
+    change: Callable[[Any], None] | None = None
+    path: Callable[[np.ndarray], np.ndarray] | None = None
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """The derivative of what is compared in one leaf of the scene: `where` it is, its `name`, and the `truth`."""
+
+    name: str
+    where: Callable[[Scene], Any]
+    truth: Callable[[], np.ndarray]
+
+
+def _far(t: Any) -> Any:
+    """One finger that touches nothing."""
+    return jnp.full((1, 3), 9.0, t.dtype)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One problem of the work-precision diagrams.
+
+    - `name`, `title`, `unit` (of the error); `seconds`, the final time.
+    - `scene(integrator)`, and `start(state)`, which sets velocities; `hip(t)` (F, 3) m; `change(scene)`: the scene after
+      half time.
+    - `measure(state)`: the numbers that are compared; an error is the Euclidean norm of a difference.
+    - `truth()`: of the equations that hapjax solves, in closed form or from an independent program. `None`: extrapolated.
+    - `law()`: of the rigid law that both programs approximate, where it is not the same. MuJoCo is compared by it.
+    - `law_measure`: what the law speaks of, where it is not what `measure` gives.
+    - `known`: where the truth comes from, in words.
+    - `orders`: of integrators whose order differs here.
+    - `mujoco`: the model, or why there is none.
+    """
+
+    name: str
+    title: str
+    unit: str
+    seconds: float
+    scene: Callable[[Integrator], Scene]
+    measure: Callable[[State], Any]
+    known: str
+    mujoco: Mujoco | str
+    start: Callable[[State], State] = lambda state: state
+    hip: Callable[[Any], Any] = _far
+    change: Callable[[Scene], Scene] | None = None
+    truth: Callable[[], np.ndarray] | None = None
+    law: Callable[[], np.ndarray] | None = None
+    law_measure: Callable[[State], Any] | None = None
+    gradient: Gradient | None = None
+    orders: Mapping[str, Order] = field(default_factory=dict)
+    coarsest: float = 10e-3
+
+    def order(self, integrator: str) -> Order:
+        """The theory's order of an integrator on this case."""
+        return self.orders.get(integrator, self.orders.get("*", Order(ORDERS.get(integrator, 1))))
+
+
+def turned(motion: Motion) -> Any:
+    """The orientation as 9 numbers, of which a small difference has the norm of its angle in rad."""
+    return rotation.to_matrix(motion.orientation).ravel() / jnp.sqrt(jnp.asarray(2, motion.orientation.dtype))
+
+
+def turned_mujoco(matrix: np.ndarray) -> np.ndarray:
+    """`turned` of MuJoCo's or SciPy's matrix."""
+    return np.asarray(matrix, float).ravel() / np.sqrt(2)
+
+
+EXACT = {"lie_midpoint": Order(None, "the force is constant, and the midpoint rule is exact")}
+HOLDS = {"*": Order(None, "at rest at any dt: what holds does not creep")}

@@ -1,0 +1,128 @@
+"""A rod held at one end by two fingers: swung by the hand, and dropping as far as the grip lets it."""
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from ...body import Body
+from ...scene import Object, Scene, World
+from ...shape import Box
+from ...surface import Surface
+from ...torsion import GravityDrop
+from ._case import Case, G, Mujoco
+from ._springs import Held, Place, solve
+
+MASS, LENGTH, WIDTH, STIFFNESS, DEPTH = 0.05, 0.3, 0.02, 3000.0, 3e-3
+GRASP = -0.14  # m, from the rod's middle along it
+REACH, BEAT, SECONDS = 0.01, 2 * np.pi * 1.2, 1.0  # m and rad/s of the hand
+SIZE = np.array([LENGTH, WIDTH, WIDTH])
+INERTIA = MASS * (np.sum(SIZE**2) - SIZE**2) / 12
+_HOLD = np.array([[GRASP, side * (WIDTH / 2 - DEPTH), 0.0] for side in (1, -1)])
+_ANCHORS = np.array([[GRASP, side * WIDTH / 2, 0.0] for side in (1, -1)])
+_FREE = Place(np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3))
+_DOWN = np.array([0, 0, -G])
+
+
+def _rod(integrator, torsion=None) -> Scene:
+    return Scene(
+        {"rod": Object(Box(SIZE), Surface(STIFFNESS, mu=1.0), Body(MASS))},
+        torsion=torsion,
+        world=World(gravity=_DOWN, gyroscopic=True),
+        integrator=integrator,
+    )
+
+
+def _place(state):
+    return state.motion["rod"].position
+
+
+def _hand(t, cos):
+    """How far (m) the hand has gone; it starts from rest."""
+    return REACH * (1 - cos(BEAT * t))
+
+
+def _swung() -> np.ndarray:
+    held = Held(
+        MASS,
+        INERTIA,
+        _ANCHORS,
+        STIFFNESS,
+        lambda t: _HOLD + np.array([_hand(t, np.cos), 0, 0]),
+        _DOWN,
+    )
+    return solve(held, _FREE, SECONDS).position
+
+
+def _hips(t):
+    return jnp.asarray(_HOLD, t.dtype) + jnp.stack([_hand(t, jnp.cos), 0 * t, 0 * t])[None]
+
+
+def _path(times: np.ndarray) -> np.ndarray:
+    return np.stack([_hand(times, np.cos), 0 * times, 0 * times], axis=1)
+
+
+_SITES = "".join(f'<site name="f{i}" pos="{x} {y} {z}"/>' for i, (x, y, z) in enumerate(_HOLD))
+_POINTS = "".join(f'<site name="g{i}" pos="{x} {y} {z}"/>' for i, (x, y, z) in enumerate(_ANCHORS))
+_SPRINGS = "".join(
+    f'<spatial stiffness="{STIFFNESS}" springlength="0"><site site="f{i}"/><site site="g{i}"/></spatial>'
+    for i in range(2)
+)
+
+ROD = Case(
+    name="rod",
+    title="rod held at one end by two fingers and swung",
+    unit="m",
+    seconds=SECONDS,
+    scene=_rod,
+    hip=_hips,
+    measure=_place,
+    truth=_swung,
+    known="independent equations, SciPy's DOP853 at 1e-12",
+    mujoco=Mujoco(
+        f"""<mujoco><option gravity="0 0 {-G}"/><worldbody><body mocap="true">{_SITES}</body><body><freejoint/>
+        <inertial pos="0 0 0" mass="{MASS}" diaginertia="{INERTIA[0]} {INERTIA[1]} {INERTIA[2]}"/>{_POINTS}</body>
+        </worldbody><tendon>{_SPRINGS}</tendon></mujoco>""",
+        read=lambda model, data: data.qpos[:3].copy(),
+        path=_path,
+    ),
+    coarsest=4e-3,
+)
+
+# The same rod, gripped softly: gravity drop ------------------------------------------------------------------
+
+SHARE, LOSS, TIME = 0.5, 2e-4, 0.6  # of the torque about the grip's line; N m s/rad; s
+CRITICAL = np.pi * DEPTH**2 / (1 - SHARE)  # m^2, mu being 1
+
+
+def _dropped() -> np.ndarray:
+    held = Held(
+        MASS, INERTIA, _ANCHORS, STIFFNESS, lambda t: _HOLD, _DOWN, np.array([0.0, 1.0, 0.0]), SHARE, LOSS
+    )
+    return solve(held, _FREE, TIME).position
+
+
+def pendulum(share: float = SHARE) -> np.ndarray:
+    """The place of the rod's centre on stiff fingers: (J + s m r^2) w' = s m g r cos(angle) - b w."""
+    inertia, reach = INERTIA[1] + share * MASS * GRASP**2, -GRASP
+
+    def rate(t, y):
+        return [y[1], (share * MASS * G * reach * np.cos(y[0]) - LOSS * y[1]) / inertia]
+
+    angle = solve_ivp(rate, (0, TIME), [0, 0], method="DOP853", rtol=1e-12, atol=1e-13).y[0, -1]
+    return np.array([GRASP + reach * np.cos(angle), 0, -reach * np.sin(angle)])
+
+
+PENDULUM = Case(
+    name="pendulum",
+    title="gravity drop: a rod in a soft grip at half of A_crit",
+    unit="m",
+    seconds=TIME,
+    scene=lambda integrator: _rod(integrator, GravityDrop(CRITICAL, twist_damping=LOSS)),
+    hip=lambda t: jnp.asarray(_HOLD, t.dtype),
+    measure=_place,
+    truth=_dropped,
+    law=pendulum,
+    known="independent equations, SciPy's DOP853 at 1e-12; law: a pendulum about stiff fingers",
+    mujoco="it has no contact area that takes a share of the torque",
+    coarsest=4e-3,
+)
