@@ -7,6 +7,8 @@ from .device import GimbalDevice as GimbalDevice
 from .operator import Hand as Hand
 from .operator import Operator as Operator
 from .operator import waypoints as waypoints
+from .passivity import Passivity as Passivity
+from .passivity import PassivityControl as PassivityControl
 from .safety import ForceGuard as ForceGuard
 from .sensor import ForceSensor as ForceSensor
 from .sensor import PoseTracker as PoseTracker

@@ -14,6 +14,7 @@ from hapjax import InputError, Scene
 from hapjax.recording import Recording
 
 from .device import Device, DeviceError, GimbalDevice
+from .passivity import Passivity, PassivityControl
 from .realtime import MonotonicClock, Pacer, uncollected, undisturbed
 from .safety import ForceGuard
 from .sensor import ForceSensor, PoseTracker
@@ -27,7 +28,7 @@ class ServoResult:
 
     `recording`; for each tick how late it began, `lateness_us`, and how long it worked, `compute_us` (T,) us;
     `missed` deadlines; how many force commands were `not_finite` or `limited`; `refused`, a sentence for each
-    privilege that the system did not grant.
+    privilege that the system did not grant; `passivity`, what its control saw and did, `None` where it was off.
     """
 
     recording: Recording
@@ -37,6 +38,7 @@ class ServoResult:
     not_finite: int
     limited: int
     refused: tuple[str, ...]
+    passivity: PassivityControl | None = None
 
     def summary(self) -> dict[str, dict[str, float] | int]:
         """p50, p99, p99.9 and max of lateness and of compute time in us; ticks done and ticks missed."""
@@ -57,6 +59,7 @@ def run(
     force_sensor: ForceSensor | None = None,
     pose_tracker: PoseTracker | None = None,
     realtime: bool = True,
+    passivity: Passivity | None = None,
 ) -> ServoResult:
     """Let the fingers on `devices` feel a scene for `duration` seconds, and record it.
 
@@ -72,6 +75,7 @@ def run(
     - `force_sensor`, `pose_tracker`: each measures at every tick that is its turn, so its rate goes a whole
         number of times into the loop's. `None`: the recording is without that channel.
     - `realtime`: `False` runs as fast as it can, with the same recording on virtual devices.
+    - `passivity`: keeps each device passive by damping it where its loop gives out energy. `None`: off, at no cost.
 
     A scene whose torsion is a gimbal needs devices that are each a `GimbalDevice`; the recording then has the channel
     `gimbal`, exactly what the step got.
@@ -99,22 +103,36 @@ def run(
         packed = hapjax.pack(scene, hip, 1 / rate, *angles)
         log = _Log(ticks, rate, packed, force_sensor, pose_tracker, turned)
         guard = ForceGuard(np.array([device.force_limit for device in devices]))
+        control = None if passivity is None else PassivityControl(passivity, 1 / rate, hip)
         for _ in range(WARM_UP):
             packed.force(packed.call(packed.start, *(x.astype(packed.dtype) for x in (hip, *angles))))
         stack.enter_context(uncollected())
         refused = stack.enter_context(undisturbed() if realtime else nullcontext([]))
         stack.enter_context(_let_go(devices))
         pacer = Pacer(round(1e9 / rate), MonotonicClock()) if realtime else None
-        _loop(packed, devices, gimbals, guard, log, pacer)
+        _loop(packed, devices, gimbals, guard, control, log, pacer)
     missed = 0 if pacer is None else pacer.missed
     recording = log.recording()
     return ServoResult(
-        recording, log.lateness_us, log.compute_us, missed, guard.not_finite, guard.limited, tuple(refused)
+        recording,
+        log.lateness_us,
+        log.compute_us,
+        missed,
+        guard.not_finite,
+        guard.limited,
+        tuple(refused),
+        control,
     )
 
 
 def _loop(
-    packed: hapjax.PackedStep, devices, gimbals, guard: ForceGuard, log: "_Log", pacer: Pacer | None
+    packed: hapjax.PackedStep,
+    devices,
+    gimbals,
+    guard: ForceGuard,
+    control: PassivityControl | None,
+    log: "_Log",
+    pacer: Pacer | None,
 ) -> None:
     memory, hip = packed.start, np.empty((packed.fingers, 3), packed.dtype)
     angle = np.empty(len(gimbals), packed.dtype)
@@ -133,8 +151,12 @@ def _loop(
             raise DeviceError(f"tick {tick}: the gimbals read {angle.tolist()} rad; an angle must be finite")
         memory = packed.call(memory, *inputs)
         force = guard(packed.force(memory))
+        if control is not None:
+            force = guard(control(force, hip))
         for finger, device in enumerate(devices):
             output[finger] = device.write(force[finger])
+        if control is not None:
+            control.put_out(output)
         log.add(tick, hip, angle, output, memory)
         log.lateness_us[tick] = late * 1e-3
         log.compute_us[tick] = (time.perf_counter_ns() - began) * 1e-3

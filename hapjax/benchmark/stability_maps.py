@@ -45,11 +45,17 @@ MAPS = {
     "mass_ratio": Map(
         "mass_ratio", "mass of the upper cube over that of the lower", "", _decades(0, 4), build=dropped_stack
     ),
-    "mu": Map("mu", "mu", "", (0, 0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10), log=False),
+    "mu": Map("mu", "mu", "", (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0), log=False),
     "penetration": Map(
         "gap", "place of the lowest corner at the start", "m", tuple(-np.linspace(0, 0.02, 13)), log=False
     ),
-    "spin": Map("spin", "spin", "rad/s", (0, 1, 2, 5, 10, 20, 50, 100, 200, 300, 500, 700, 1000), log=False),
+    "spin": Map(
+        "spin",
+        "spin",
+        "rad/s",
+        (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 300.0, 500.0, 700.0, 1000.0),
+        log=False,
+    ),
     "inertia": Map("inertia_ratio", "two larger moments of inertia over the smallest", "", _decades(0, 4)),
 }
 
