@@ -9,6 +9,8 @@ from .friction import Karnopp as Karnopp
 from .friction import LuGre as LuGre
 from .friction import Stribeck as Stribeck
 from .friction import Viscous as Viscous
+from .integrate import Implicit as Implicit
+from .integrate import LieMidpoint as LieMidpoint
 from .integrate import PivotForm as PivotForm
 from .integrate import SemiImplicit as SemiImplicit
 from .integrate import SemiImplicitMatrix as SemiImplicitMatrix

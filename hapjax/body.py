@@ -134,14 +134,20 @@ def angular_acceleration(
     torque = rotation.turn_back(matrix, torque)
     if gyroscopic:
         turning = rotation.turn_back(matrix, spin)
-        momentum = inertia * turning if inertia.ndim == 1 else _times(inertia, turning)
-        torque = torque - jnp.cross(turning, momentum)
-    acceleration = torque / inertia if inertia.ndim == 1 else _solve(inertia, torque)
-    return rotation.turn(matrix, acceleration)
+        torque = torque - jnp.cross(turning, momentum(inertia, turning))
+    return rotation.turn(matrix, spin_of(inertia, torque))
 
 
-def _times(matrix: Float[Array, "3 3"], vector: Float[Array, "3"]) -> Float[Array, "3"]:
-    return jnp.sum(matrix * vector[None, :], axis=-1)
+def momentum(inertia: Float[Array, "3"] | Float[Array, "3 3"], spin: Float[Array, "3"]) -> Float[Array, "3"]:
+    """J w, the angular momentum (kg m^2/s) of a spin (rad/s), both along the object's axes."""
+    return inertia * spin if inertia.ndim == 1 else jnp.sum(inertia * spin[None, :], axis=-1)
+
+
+def spin_of(
+    inertia: Float[Array, "3"] | Float[Array, "3 3"], momentum: Float[Array, "3"]
+) -> Float[Array, "3"]:
+    """J^-1 L, the spin (rad/s) of an angular momentum (kg m^2/s), both along the object's axes."""
+    return momentum / inertia if inertia.ndim == 1 else _solve(inertia, momentum)
 
 
 def _solve(matrix: Float[Array, "3 3"], vector: Float[Array, "3"]) -> Float[Array, "3"]:

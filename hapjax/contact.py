@@ -9,10 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from . import body as rigid
-from . import crossing, god_object, grasp, rotation
-from .body import Motion, Wrench
+from . import crossing, god_object, rotation
+from .body import Motion
 from .errors import InputError
-from .god_object import GodObject, Touch
+from .god_object import GodObject, Meeting
+from .link import Link
 from .shape import Capsule, Plane, Shape, Sphere, SurfacePoint
 from .surface import Surface
 
@@ -66,10 +67,6 @@ class Mover(eqx.Module):
         """Its angular velocity (rad/s), world frame; `None`: it does not turn."""
         return None if self.motion is None else self.motion.spin
 
-    def wrench(self, points: Float[Array, "n 3"], forces: Float[Array, "n 3"]) -> Wrench | None:
-        """The wrench of forces (N) at world points (m); `None` where it is fixed."""
-        return None if self.centre is None else grasp.residual(forces, points - self.centre[None])
-
 
 def check_shapes(first: Shape, second: Shape) -> None:
     """Refuse two shapes of which none has points to touch the other with."""
@@ -92,35 +89,25 @@ def start(contact: Contact, first: Mover, second: Mover) -> tuple[GodObject, ...
     return tuple(memory)
 
 
-def collide(
-    contact: Contact, memory: tuple[GodObject, ...], first: Mover, second: Mover, dt: Float[Array, ""]
-) -> tuple[tuple[GodObject, ...], Touch, Wrench | None, Wrench | None]:
-    """Push two objects out of each other.
+def meet(
+    contact: Contact,
+    memory: tuple[GodObject, ...],
+    first: Mover,
+    second: Mover,
+    dt: Float[Array, ""],
+    apart: bool = False,
+) -> list[Link]:
+    """Where two objects touch, or may: one entry for each way in which they can.
 
-    Returns the god-objects and touches, each in the frame of the object that is touched, and the wrenches on both
-    objects in the world frame, equal and opposite at each contact point.
+    **Arguments:** `apart`: how far points are from each other is wanted too.
     """
-    pair = (first, second)
+    pair, links = (first, second), []
     ways = _point_ways(first.placed.shape, second.placed.shape)
-    after, touches, places, forces = [], [], [], []
-    for (a, b), gods in zip(ways, memory, strict=False):
-        masked = isinstance(pair[b].placed.shape, Capsule) and not (
-            a == 0 and isinstance(pair[a].placed.shape, Capsule)
-        )
-        gods, touch, place, force = _points_on(contact, gods, pair[a], pair[b], masked, dt)
-        after.append(gods)
-        touches.append(touch)
-        places.append(place)
-        forces.append(force if a == 0 else -force)
+    for way, gods in zip(ways, memory, strict=False):
+        links.append(_points_on(contact, gods, pair, way, dt, apart))
     if _edges_cross(first.placed.shape, second.placed.shape):
-        gods, touch, place, force = _edges_on(contact, memory[-1], first, second, dt)
-        after.append(gods)
-        touches.append(touch)
-        places.append(place)
-        forces.append(force)
-    touch = jax.tree.map(lambda *parts: jnp.concatenate(parts), *touches)
-    place, force = jnp.concatenate(places), jnp.concatenate(forces)
-    return tuple(after), touch, first.wrench(place, force), second.wrench(place, -force)
+        links.append(_edges_on(contact, memory[-1], first, second, dt))
+    return links
 
 
 def _point_ways(first: Shape, second: Shape) -> list[tuple[int, int]]:
@@ -158,20 +145,24 @@ def _points_in(a: Mover, b: Mover) -> Float[Array, "P 3"]:
     return b.placed.to_local(a.placed.to_world(_points_of(a, b)))
 
 
-def _points_on(contact: Contact, gods: GodObject, a: Mover, b: Mover, masked: bool, dt: Float[Array, ""]):
-    """The points of `a` against the surface of `b`: god-objects and touches, places and forces in the world frame."""
+def _points_on(
+    contact: Contact, gods: GodObject, pair: tuple[Mover, Mover], way: tuple[int, int], dt, apart: bool
+) -> Link:
+    """The points of one against the surface of the other."""
+    a, b = (pair[i] for i in way)
     shape, radius = b.placed.shape, a.placed.shape.rounding()
     own = _points_of(a, b)
     points = b.placed.to_local(a.placed.to_world(own))
     if radius is None:
         track, near = jax.vmap(shape.follow)(gods.track, points)
+        if apart:
+            near = god_object.or_apart(shape, near, points)
     else:
         track, near = None, jax.vmap(shape.closest)(points)
         points = points - radius * near.normal
         near = eqx.tree_at(lambda n: n.depth, near, near.depth + radius)
-    if masked:
-        assert isinstance(shape, Capsule)  # the balls at a capsule's ends touch by their own points
-        side = jax.vmap(shape.has_side)(points)
+    if isinstance(shape, Capsule) and not (way[0] == 0 and isinstance(a.placed.shape, Capsule)):
+        side = jax.vmap(shape.has_side)(points)  # the balls at its ends touch by their own points
         near = eqx.tree_at(lambda n: n.depth, near, jnp.where(side, near.depth, 0))
     places = b.placed.to_world(points)
     slip = None
@@ -179,14 +170,11 @@ def _points_on(contact: Contact, gods: GodObject, a: Mover, b: Mover, masked: bo
         slip = rotation.turn_back(b.placed.matrix, a.velocity_at(places) - b.velocity_at(places))
     carried = _carried(a, b, own, radius, near)
     if carried is not None:
-        gods = eqx.tree_at(lambda g: g.point, gods, gods.point - dt * carried)
-
-    def one(god, way, place, point, speed):
-        return god_object.answer(contact, god, way, place, point, speed, dt)
-
-    axes = (0, None if track is None else 0, 0, 0, None if slip is None else 0)
-    gods, touch = jax.vmap(one, in_axes=axes)(gods, track, near, points, slip)
-    return gods, touch, places, rotation.turn(b.placed.matrix, touch.force)
+        carried = dt * carried
+        gods = eqx.tree_at(lambda g: g.point, gods, gods.point - carried)
+    meeting = god_object.meet(contact, gods, near, points, slip)
+    names = contact.between[way[0]], contact.between[way[1]]
+    return Link(meeting, points, places, b.placed.matrix, track, gods.depth, None, carried, *names)
 
 
 def _carried(a: Mover, b: Mover, own, radius, near: SurfacePoint):
@@ -209,26 +197,22 @@ def _carried(a: Mover, b: Mover, own, radius, near: SurfacePoint):
     return rotation.turn_back(b.placed.matrix, rotation.turn(a.placed.matrix, carried))
 
 
-def _edges_on(contact: Contact, gods: GodObject, a: Mover, b: Mover, dt: Float[Array, ""]):
-    """Where edges and round sides of `a` cross those of `b`, as `_points_on`."""
+def _edges_on(contact: Contact, gods: GodObject, a: Mover, b: Mover, dt: Float[Array, ""]) -> Link:
+    """Where edges and round sides of `a` cross those of `b`."""
     found = crossing.find(a.placed, b.placed)
     active = crossing.is_active(found, gods.depth)
     places = b.placed.to_world(found.point)
     slip = rotation.turn_back(b.placed.matrix, a.velocity_at(places) - b.velocity_at(places))
-    depth = jnp.where(active, found.depth, 0)
+    apart = jnp.where(found.admissible, jnp.minimum(found.depth, 0), 0)
+    depth = jnp.where(active, found.depth, apart)
     # The crossing wanders along both edges; what friction stretches is held by the material.
     offset = jnp.where((gods.depth > 0)[:, None], gods.point - dt * slip, 0)
-
-    def one(point, normal, depth, offset, sliding, speed):
-        near = SurfacePoint(point + depth * normal, normal, depth, jnp.zeros((), jnp.int32))
-        rounding = 8 * jnp.finfo(speed.dtype).eps * jnp.max(jnp.abs(near.point))
-        speed = speed if contact.needs_velocity() else None
-        return god_object.press(contact, near, offset, sliding, speed, dt, rounding)
-
-    axes = (0, 0, 0, 0, None if gods.sliding is None else 0, 0)
-    offset, sliding, touch = jax.vmap(one, in_axes=axes)(
-        found.point, found.normal, depth, offset, gods.sliding, slip
+    surface = found.point + jnp.where(active, found.depth, 0)[:, None] * found.normal
+    near = SurfacePoint(surface, found.normal, depth, jnp.zeros(depth.shape, jnp.int32))
+    rounding = 8 * jnp.finfo(slip.dtype).eps * jnp.max(jnp.abs(surface), axis=-1)
+    speed = slip if contact.needs_velocity() else None
+    meeting = Meeting(contact, near, offset, gods.sliding, rounding, speed)
+    matrix, names = b.placed.matrix, contact.between
+    return Link(
+        meeting, found.point, places, matrix, None, gods.depth, None, dt * slip, *names, crossing=True
     )
-    seen = jnp.where(active, depth, jnp.where(found.admissible, jnp.minimum(found.depth, 0), 0))
-    gods = GodObject(jnp.where(active[:, None], offset, 0), seen, sliding)
-    return gods, touch, places, rotation.turn(b.placed.matrix, touch.force)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .shape import Shape, SurfacePoint, Track
+from .shape import Mesh, Shape, SurfacePoint, Track
 from .surface import Surface
 
 
@@ -46,6 +46,39 @@ def start(shape: Shape, surface: Surface, points: Float[Array, "n 3"]) -> GodObj
     return GodObject(points, jnp.zeros_like(points[:, 0]), sliding, jax.vmap(shape.start)(points))
 
 
+class Grip(eqx.Module):
+    """A normal force (N) by which friction is limited: that of the contact's spring alone, and with its loss."""
+
+    spring: Float[Array, "*n"]
+    whole: Float[Array, "*n"]
+
+
+class Meeting(eqx.Module):
+    """Points at one surface whose places are known, before the law of touch has spoken; in the surface's frame.
+
+    `near`: the surface points that belong to them. `offset` (m): their god-objects from those, before friction has moved
+    them. `sliding`: what friction remembered. `rounding` (m): differences of positions up to this are errors of
+    arithmetic. `velocity` (m/s): that of the points against the surface, where it is needed. `grip`: the normal
+    force by which friction is limited; `None`: that of the touch itself.
+    """
+
+    surface: Surface
+    near: SurfacePoint
+    offset: Float[Array, "*n 3"]
+    sliding: Float[Array, "*n"] | None
+    rounding: Float[Array, "*n"]
+    velocity: Float[Array, "*n 3"] | None
+    grip: Grip | None = None
+
+
+class Pressed(eqx.Module):
+    """What the law of touch answers: the god-objects' new offsets (m), what friction remembers, and the touches."""
+
+    offset: Float[Array, "*n 3"]
+    sliding: Float[Array, "*n"] | None
+    touch: Touch
+
+
 def touch(
     shape: Shape,
     surface: Surface,
@@ -64,42 +97,61 @@ def touch(
     the step `dt` (s); the latter two are only read where the surface `needs_velocity`.
     """
     track, near = shape.follow(god.track, point)
-    return answer(surface, god, track, near, point, velocity, dt)
+    one = jax.tree.map(lambda x: x[None], (god, near, point, velocity))
+    meeting = meet(surface, *one)
+    pressed = press(meeting, dt)
+    gods = keep(meeting, pressed, point[None], None)
+    after, result = jax.tree.map(lambda x: x[0], (gods, pressed.touch))
+    return GodObject(after.point, after.depth, after.sliding, track), result
 
 
-def answer(
-    surface: Surface,
-    god: GodObject,
-    track: Track | None,
-    near: SurfacePoint,
-    point: Float[Array, "3"],
-    velocity: Float[Array, "3"] | None,
-    dt: Float[Array, ""] | None,
-) -> tuple[GodObject, Touch]:
-    """`touch` of a point whose surface point `near` is known."""
-    offset = jnp.where(god.depth > 0, god.point - near.point, 0)
-    rounding = 8 * jnp.finfo(point.dtype).eps * (jnp.max(jnp.abs(point)) + jnp.max(jnp.abs(god.point)))
-    offset, sliding, result = press(surface, near, offset, god.sliding, velocity, dt, rounding)
-    in_contact = near.depth > 0
-    held = jnp.where(in_contact, near.point + offset, point)
-    depth = jnp.where(in_contact, near.depth, 0)
-    return GodObject(held, depth, sliding, track), result
+def or_apart(shape: Shape, near: SurfacePoint, points: Float[Array, "n 3"]) -> SurfacePoint:
+    """The surface points that hold points (m), of those that touch nothing the closest ones, with depths below 0.
 
-
-def press(
-    surface: Surface,
-    near: SurfacePoint,
-    offset: Float[Array, "3"],
-    sliding: Float[Array, ""] | None,
-    velocity: Float[Array, "3"] | None,
-    dt: Float[Array, ""] | None,
-    rounding: Float[Array, ""],
-) -> tuple[Float[Array, "3"], Float[Array, ""] | None, Touch]:
-    """The law of a touch: the god-object's new offset from the surface point, what friction remembers, the force.
-
-    **Arguments:** `offset` (m), the god-object from the surface point before; `sliding`, what friction remembered;
-    the others as for `touch`.
+    A mesh has no such depth: to look for it would cost with its size.
     """
+    if isinstance(shape, Mesh):
+        return near
+    closest = jax.vmap(shape.closest)(points)
+    outside = (near.depth <= 0) & (closest.depth < 0)
+    return jax.tree.map(
+        lambda out, held: jnp.where(outside.reshape(outside.shape + (1,) * (held.ndim - 1)), out, held),
+        closest,
+        near,
+    )
+
+
+def meet(
+    surface: Surface,
+    gods: GodObject,
+    near: SurfacePoint,
+    points: Float[Array, "n 3"],
+    velocity: Float[Array, "n 3"] | None,
+) -> Meeting:
+    """Points (m) whose surface points `near` are known, and where their god-objects are from there."""
+    offset = jnp.where((gods.depth > 0)[:, None], gods.point - near.point, 0)
+    reach = jnp.max(jnp.abs(points), axis=-1) + jnp.max(jnp.abs(gods.point), axis=-1)
+    return Meeting(surface, near, offset, gods.sliding, 8 * jnp.finfo(points.dtype).eps * reach, velocity)
+
+
+def press(meeting: Meeting, dt: Float[Array, ""] | None) -> Pressed:
+    """The law of touch at each of the points; the step `dt` (s) is read where the surface's law does so."""
+
+    def one(near, offset, sliding, rounding, velocity, grip):
+        return _press(meeting.surface, near, offset, sliding, rounding, velocity, grip, dt)
+
+    m = meeting
+    return jax.vmap(one)(m.near, m.offset, m.sliding, m.rounding, m.velocity, m.grip)
+
+
+def keep(meeting: Meeting, pressed: Pressed, points: Float[Array, "n 3"], track: Track | None) -> GodObject:
+    """The god-objects after a touch."""
+    in_contact = meeting.near.depth > 0
+    held = jnp.where(in_contact[:, None], meeting.near.point + pressed.offset, points)
+    return GodObject(held, jnp.where(in_contact, meeting.near.depth, 0), pressed.sliding, track)
+
+
+def _press(surface: Surface, near: SurfacePoint, offset, sliding, rounding, velocity, grip, dt) -> Pressed:
     in_contact = near.depth > 0
     depth = jnp.where(in_contact, near.depth, 0)
     normal = near.normal
@@ -109,16 +161,17 @@ def press(
         deepening = -jnp.sum(normal * velocity)
         slip = velocity + deepening * normal
         if surface.damping is not None:
-            viscous = -surface.damping * normal_force * slip
+            viscous = -surface.damping * (normal_force if grip is None else grip.spring) * slip
             normal_force = normal_force * jnp.maximum(1 + surface.damping * deepening, 0)
         if surface.law().needs_travel:
             assert dt is not None
             travel = slip * dt
 
     offset = offset - jnp.sum(offset * normal) * normal
-    law = surface.hold(near, offset, normal_force, viscous, travel, sliding, rounding, dt)
+    pressing = normal_force if grip is None else grip.whole
+    law = surface.hold(near, offset, pressing, viscous, travel, sliding, rounding, dt)
     friction_force = jnp.where(in_contact, law.force, 0)
     force = normal_force * normal + friction_force
     circle = surface.static_at(near, friction_force) * depth
     remembered = None if law.sliding is None else jnp.where(in_contact, law.sliding, 0)
-    return law.offset, remembered, Touch(force, normal_force, friction_force, circle)
+    return Pressed(law.offset, remembered, Touch(force, normal_force, friction_force, circle))

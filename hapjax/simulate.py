@@ -12,11 +12,14 @@ from jaxtyping import Array, Float
 from . import body as rigid
 from . import contact as pairs
 from . import god_object, grasp, rotation, safe
-from .body import Motion, Wrench
+from .body import Body, Motion, Wrench
 from .contact import Mover, Placed
 from .errors import InputError
 from .god_object import GodObject, Touch
+from .integrate import Bodies
+from .link import Link, join
 from .scene import Scene, dtype_of
+from .shape import Shape
 from .torsion import Grip, Held, Torsion, Twist
 
 
@@ -143,93 +146,118 @@ def _substep(
     turning: Float[Array, "F"] | None,
     dt: Float[Array, ""],
 ) -> tuple[State, Reply]:
-    velocity = None if state.hip is None else (hip - state.hip) / dt
-    placed = {name: _placed(scene, state.motion, name) for name in scene.object}
-    force = jnp.zeros_like(hip)
-    fingers: dict[str, GodObject] = OrderedDict()
-    touches: dict[str, Touch] = OrderedDict()
-    contacts: dict[str, tuple[GodObject, ...]] = OrderedDict()
-    collisions: dict[str, Touch] = OrderedDict()
+    motions = OrderedDict(
+        (name, scene.integrator.drift(*_parts(scene, name), motion, scene.world.gyroscopic, dt))
+        for name, motion in state.motion.items()
+    )
+    placed = {name: _placed(scene, motions, name) for name in scene.object}
+    centres = {name: _centre(scene, placed[name], name) for name in motions}
+    rates = {name: (motion.velocity, motion.spin) for name, motion in motions.items()}
+    drive = None if state.hip is None else (hip - state.hip) / dt
+
+    fingers = {
+        name: _fingers_on(scene, state, placed[name], name, hip, drive, rates, centres)
+        for name in scene.touchable()
+    }
+    pairs_of = {name: _contacts(scene, state, motions, placed, name, dt) for name in scene.contact}
+    fingers, pairs_of = scene.integrator.foresee((fingers, pairs_of), _bodies(scene, placed, motions), dt)
+    pressed = {name: god_object.press(link.meeting, dt) for name, link in fingers.items()}
+    gods = OrderedDict((name, link.keep(pressed[name])) for name, link in fingers.items())
+
     wrenches: dict[str, Wrench] = {}
     holds: dict[str, Held] = {}
-    pivots: dict[str, Array] = {}
-
-    for name in scene.touchable():
-        fingers[name], touches[name], on_finger = _feel(scene, state, placed[name], name, hip, velocity, dt)
-        force = force + on_finger
-        if name in state.motion:
-            gods, touch = fingers[name], touches[name]
+    for name in motions:
+        if name in fingers:
+            found = fingers[name].wrenches(pressed[name], centres)[name]
             wrenches[name], holds[name] = _grasp(
-                scene, state, placed[name], name, hip, on_finger, gods, touch, turning, dt
+                scene,
+                state,
+                motions[name],
+                fingers[name],
+                gods[name],
+                pressed[name].touch,
+                found,
+                turning,
+                dt,
             )
-            if scene.integrator.needs_pivot:
-                points, centre = placed[name].to_world(gods.point), _centre(scene, placed[name], name)
-                pivots[name] = grasp.pivot(points, gods.depth > 0, centre)
-    for name in scene.contact:
-        contacts[name], collisions[name], pushes = _collide(scene, state, placed, name, dt)
-        for moving, wrench in pushes.items():
-            known = wrenches.get(moving)
-            wrenches[moving] = wrench if known is None else jax.tree.map(jnp.add, known, wrench)
+    contacts: dict[str, tuple[GodObject, ...]] = OrderedDict()
+    collisions: dict[str, Touch] = OrderedDict()
+    for name, links in pairs_of.items():
+        answers = [god_object.press(link.meeting, dt) for link in links]
+        contacts[name] = tuple(link.keep(answer) for link, answer in zip(links, answers, strict=True))
+        collisions[name] = jax.tree.map(lambda *x: jnp.concatenate(x), *(a.touch for a in answers))
+        for link, answer in zip(links, answers, strict=True):
+            wrenches = join(wrenches, link.wrenches(answer, centres))
 
-    motion = OrderedDict()
-    for name in state.motion:
+    after = OrderedDict()
+    for name, motion in motions.items():
         wrench = wrenches.get(name, Wrench(jnp.zeros_like(hip[0]), jnp.zeros_like(hip[0])))
+        pivot = None
+        if scene.integrator.needs_pivot and name in gods:
+            points = placed[name].to_world(gods[name].point)
+            pivot = grasp.pivot(points, gods[name].depth > 0, centres[name])
         twist = holds[name].twist if name in holds else None
-        motion[name] = _move(scene, state.motion[name], name, wrench, twist, dt, pivots.get(name))
-    pose = [jnp.concatenate([m.position, m.orientation]) for m in motion.values()]
+        after[name] = _move(scene, motion, name, wrench, twist, dt, pivot)
+    force = jnp.zeros_like(hip)
+    for name, link in fingers.items():
+        force = force + rotation.turn(link.matrix, pressed[name].touch.force)
+    pose = [jnp.concatenate([m.position, m.orientation]) for m in after.values()]
+    poses = jnp.stack(pose) if pose else jnp.zeros((0, 7), hip.dtype)
     angles = OrderedDict((name, held.angle) for name, held in holds.items() if held.angle is not None)
-    after = State(None if state.hip is None else hip, motion, fingers, contacts, angles, state.gimbal)
-    return after, Reply(force, jnp.stack(pose) if pose else jnp.zeros((0, 7), hip.dtype), touches, collisions)
+    kept = State(None if state.hip is None else hip, after, gods, contacts, angles, state.gimbal)
+    touches = OrderedDict((name, answer.touch) for name, answer in pressed.items())
+    return kept, Reply(force, poses, touches, collisions)
 
 
-def _feel(scene, state, placed: Placed, name: str, hip, velocity, dt):
-    """All fingers on one object: god-objects, touches, and forces on the fingers in the world frame."""
-    surface = _surface(scene, name)
+def _fingers_on(scene, state, placed: Placed, name: str, hip, drive, rates, centres) -> Link:
+    """All fingers on one object."""
+    surface, gods = _surface(scene, name), state.finger[name]
     local = placed.to_local(hip)
-    slip = None
-    if surface.needs_velocity():
-        slip = velocity
-        if name in state.motion:
-            arms = hip - _centre(scene, placed, name)[None]
-            slip = slip - rigid.velocity_at(state.motion[name], arms)
-        slip = rotation.turn_back(placed.matrix, slip)
+    track, near = jax.vmap(placed.shape.follow)(gods.track, local)
+    if scene.integrator.looks_ahead:
+        near = god_object.or_apart(placed.shape, near, local)
+    meeting = god_object.meet(surface, gods, near, local, None)
+    link = Link(meeting, local, hip, placed.matrix, track, gods.depth, drive, None, None, name)
+    return link.at(link.slip(rates, centres)) if surface.needs_velocity() else link
 
-    def one(god, point, speed):
-        return god_object.touch(placed.shape, surface, god, point, speed, dt)
 
-    axes = (0, 0, None if slip is None else 0)
-    gods, touch = jax.vmap(one, in_axes=axes)(state.finger[name], local, slip)
-    return gods, touch, rotation.turn(placed.matrix, touch.force)
+def _contacts(scene, state, motions, placed, name: str, dt) -> list[Link]:
+    pair = scene.contact[name]
+    first, second = (_mover(scene, motions, placed, which) for which in pair.between)
+    return pairs.meet(pair, state.contact[name], first, second, dt, scene.integrator.looks_ahead)
+
+
+def _bodies(scene: Scene, placed: dict[str, Placed], motions: dict[str, Motion]) -> Bodies:
+    """What an integrator that looks ahead must know of the moving objects."""
+    return Bodies(
+        {name: _parts(scene, name) for name in motions},
+        motions,
+        {name: placed[name].matrix for name in motions},
+        {name: _centre(scene, placed[name], name) for name in motions},
+        scene.world.gravity,
+        scene.world.gyroscopic,
+    )
 
 
 def _grasp(
-    scene, state, placed: Placed, name: str, hip, on_finger, gods: GodObject, touch: Touch, turning, dt
+    scene, state, motion: Motion, link: Link, gods: GodObject, touch: Touch, wrench: Wrench, turning, dt
 ) -> tuple[Wrench, Held]:
-    """Wrench of all fingers on a moving object, and what torsion made of it."""
-    wrench = grasp.residual(-on_finger, hip - _centre(scene, placed, name)[None])
-    motion, held = state.motion[name], Held(wrench.torque)
-    if _resists(scene, motion, hip):
+    """The wrench of all fingers on a moving object, and what torsion makes of it."""
+    held = Held(wrench.torque)
+    if _resists(scene, motion, link.point):
         grip = Grip(
-            rotation.turn(placed.matrix, gods.point),
-            rotation.turn(placed.matrix, safe.normalise(touch.force - touch.friction_force)),
+            rotation.turn(link.matrix, gods.point),
+            rotation.turn(link.matrix, safe.normalise(touch.force - touch.friction_force)),
             touch.normal_force,
             touch.circle,
             gods.depth > 0,
-            state.finger[name].depth > 0,
+            link.before > 0,
         )
-        angle = state.god_angle.get(name)
+        angle = state.god_angle.get(link.on)
         held = _torsion(scene).hold(grip, angle, wrench.torque, motion.spin, turning, dt)
     if scene.world.dead_band is not None and motion.spin is not None:
         held = dataclasses.replace(held, torque=grasp.dead_band(held.torque, scene.world.dead_band))
     return Wrench(wrench.force, held.torque), held
-
-
-def _collide(scene, state, placed, name: str, dt):
-    """One contact: its god-objects and touches, and the wrench on each of its moving objects."""
-    pair = scene.contact[name]
-    first, second = (_mover(scene, state.motion, placed, which) for which in pair.between)
-    gods, touch, *wrenches = pairs.collide(pair, state.contact[name], first, second, dt)
-    return gods, touch, {w: x for w, x in zip(pair.between, wrenches, strict=True) if x is not None}
 
 
 def _resists(scene: Scene, motion: Motion, hip: Float[Array, "F 3"]) -> bool:
@@ -244,12 +272,16 @@ def _torsion(scene: Scene) -> Torsion:
 
 
 def _move(scene, motion: Motion, name: str, wrench: Wrench, twist: Twist | None, dt, pivot) -> Motion:
-    thing = scene.object[name]
+    body, shape = _parts(scene, name)
     if scene.world.gravity is not None:
-        wrench = Wrench(wrench.force + thing.body.mass * scene.world.gravity, wrench.torque)
-    return scene.integrator.advance(
-        thing.body, thing.shape, motion, wrench, scene.world.gyroscopic, twist, dt, pivot
-    )
+        wrench = Wrench(wrench.force + body.mass * scene.world.gravity, wrench.torque)
+    return scene.integrator.advance(body, shape, motion, wrench, scene.world.gyroscopic, twist, dt, pivot)
+
+
+def _parts(scene: Scene, name: str) -> tuple[Body, Shape]:
+    thing = scene.object[name]
+    assert thing.body is not None
+    return thing.body, thing.shape
 
 
 def _placed(scene: Scene, motion: dict[str, Motion], name: str) -> Placed:
@@ -266,9 +298,7 @@ def _mover(scene: Scene, motion: dict[str, Motion], placed: dict[str, Placed], n
 
 
 def _centre(scene: Scene, placed: Placed, name: str) -> Float[Array, "3"]:
-    body = scene.object[name].body
-    assert body is not None
-    return rigid.centre_of(body, placed.shape, placed.position, placed.matrix)
+    return rigid.centre_of(*_parts(scene, name), placed.position, placed.matrix)
 
 
 def _surface(scene: Scene, name: str):

@@ -46,7 +46,9 @@ class Model:
 
     def _warnings(self) -> list[Any]:
         kinds = self.mujoco.mjtWarning
-        return [self.data.warning[k] for k in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)]
+        return [
+            self.data.warning[k] for k in (kinds.mjWARN_BADQPOS, kinds.mjWARN_BADQVEL, kinds.mjWARN_BADQACC)
+        ]
 
     def _reset(self, steps: int) -> None:
         self.model.opt.timestep = self.case.seconds / steps
@@ -96,9 +98,7 @@ class Model:
         return drive
 
 
-def curve(
-    case: Case, integrator: str, counts: Sequence[int], law: np.ndarray, around: int
-) -> list[Point]:
+def curve(case: Case, integrator: str, counts: Sequence[int], law: np.ndarray, around: int) -> list[Point]:
     """The points of one integrator, coarsest first."""
     assert isinstance(case.mujoco, Mujoco)
     model, points = Model(case, case.mujoco, integrator), []

@@ -25,7 +25,9 @@ def fitted_order(dts: Sequence[float], errors: Sequence[float | None], floor: fl
     return float(np.polyfit(fit[:, 0], fit[:, 1], 1)[0]) if len(fit) >= LEAST else None
 
 
-def best_within(curves: Mapping[str, Sequence[Any]], run: float, floor: float) -> tuple[float, str, float] | None:
+def best_within(
+    curves: Mapping[str, Sequence[Any]], run: float, floor: float
+) -> tuple[float, str, float] | None:
     """The least law error among all points that take at most `run` s a simulated second: error, curve, dt."""
     found = [
         (max(p.law_error, floor), name, p.dt)

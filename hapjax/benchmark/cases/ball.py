@@ -116,7 +116,7 @@ RESTITUTION = Case(
 
 # Three bounces without loss ------------------------------------------------------------------------------------
 
-DROP, BOUNCES, AIR = 0.05, 3, 0.58  # m, 1, s
+DROP, BOUNCES, AIR = 0.05, 3, 0.66  # m, 1, s
 
 
 def contact_time(stiffness: float) -> float:

@@ -1,0 +1,114 @@
+"""Sets of points that may touch, between fingers and objects and between objects: what a step knows of them all at once.
+
+An integrator that looks ahead is given them before the laws of touch are read.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from . import god_object, grasp, rotation
+from .body import Wrench
+from .god_object import GodObject, Grip, Meeting, Pressed
+from .shape import Track
+
+Rates = dict[str, tuple[Float[Array, "3"], Float[Array, "3"] | None]]
+"""Of each moving object by name: the velocity of its centre of mass (m/s), and its spin (rad/s) if it turns."""
+
+
+class Link(eqx.Module):
+    """Points of one thing at the surface of an object `on`: of the object `of`, or fingers where that is `None`.
+
+    - `meeting`: in the frame of `on`, as are the other vectors but `place`.
+    - `point` (m): the points, and `place` (m) where they are in the world; `matrix` turns the frame into the world's.
+    - `track`: what the shape remembers of them.
+    - `before` (m): their depths in the step before.
+    - `drive` (m/s): the fingers' own velocity in the world, where it is known.
+    - `carried` (m): how far the material passed through the points in this step, which the offset knows already.
+      `None`: they are fixed in it.
+    - `crossing`: they are where edges cross, and a god-object is kept as its offset.
+    """
+
+    meeting: Meeting
+    point: Float[Array, "n 3"]
+    place: Float[Array, "n 3"]
+    matrix: Float[Array, "3 3"]
+    track: Track | None
+    before: Float[Array, "n"]
+    drive: Float[Array, "n 3"] | None
+    carried: Float[Array, "n 3"] | None
+    of: str | None = eqx.field(static=True)
+    on: str = eqx.field(static=True)
+    crossing: bool = eqx.field(static=True, default=False)
+
+    def keep(self, pressed: Pressed) -> GodObject:
+        """The god-objects after the step."""
+        if not self.crossing:
+            return god_object.keep(self.meeting, pressed, self.point, self.track)
+        depth = self.meeting.near.depth  # below 0: the pair lies apart
+        return GodObject(jnp.where((depth > 0)[:, None], pressed.offset, 0), depth, pressed.sliding)
+
+    def wrenches(self, pressed: Pressed, centres: Mapping[str, Array]) -> dict[str, Wrench]:
+        """What the touches do to the moving objects, by name; `centres` (m) are their centres of mass."""
+        force = rotation.turn(self.matrix, pressed.touch.force)
+        sides = ((self.of, force), (self.on, -force))
+        return {
+            name: grasp.residual(side, self.place - centres[name][None])
+            for name, side in sides
+            if name in centres
+        }
+
+    def slip(self, rates: Rates, centres: Mapping[str, Array]) -> Float[Array, "n 3"]:
+        """The velocity (m/s) of the points against the surface that objects moving at `rates` give them."""
+        velocity = jnp.zeros_like(self.place)
+        for name, sign in ((self.of, 1), (self.on, -1)):
+            if name in centres:
+                straight, spin = rates[name]
+                velocity = velocity + sign * straight[None]
+                if spin is not None:
+                    arms = self.place - centres[name][None]
+                    velocity = velocity + sign * jnp.cross(jnp.broadcast_to(spin, arms.shape), arms)
+        return rotation.turn_back(self.matrix, velocity)
+
+    def at(self, slip: Float[Array, "n 3"]) -> "Link":
+        """The same touch read at another velocity of the objects."""
+        if self.drive is not None:
+            slip = slip + rotation.turn_back(self.matrix, self.drive)
+        return self._with(velocity=slip)
+
+    def ahead(self, slip: Float[Array, "n 3"], grip: Grip, dt: Float[Array, ""]) -> "Link":
+        """The touch `dt` s on, if the objects move by `slip` (m/s) all the while; fingers stay where they are."""
+        near, offset = self.meeting.near, self.meeting.offset
+        deepening = -jnp.sum(near.normal * slip, axis=-1)
+        along = dt * (slip + deepening[:, None] * near.normal)
+        moved = along if self.carried is None else along - self.carried
+        # A depth of exactly 0 says that there is nothing to run into.
+        depth = jnp.where(near.depth == 0, 0, near.depth + dt * deepening)
+        near = dataclasses.replace(near, depth=depth, point=near.point + moved)
+        needed = self.meeting.surface.needs_velocity()
+        link = self.at(slip) if needed else self
+        return link._with(near=near, offset=offset - moved, grip=grip)
+
+    def grip(self) -> Grip:
+        """The normal forces of the step before, at the velocity of now."""
+        surface, velocity = self.meeting.surface, self.meeting.velocity
+        spring = surface.stiffness * jnp.maximum(self.before, 0)
+        if surface.damping is None or velocity is None:
+            return Grip(spring, spring)
+        deepening = -jnp.sum(self.meeting.near.normal * velocity, axis=-1)
+        return Grip(spring, spring * jnp.maximum(1 + surface.damping * deepening, 0))
+
+    def _with(self, **changes) -> "Link":
+        return dataclasses.replace(self, meeting=dataclasses.replace(self.meeting, **changes))
+
+
+def join(first: dict[str, Wrench], second: dict[str, Wrench]) -> dict[str, Wrench]:
+    """Wrenches by name, added where a name is in both."""
+    both = dict(first)
+    for name, wrench in second.items():
+        both[name] = wrench if name not in both else jax.tree.map(jnp.add, both[name], wrench)
+    return both
