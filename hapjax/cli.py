@@ -127,26 +127,37 @@ def fit(
 
 
 def benchmark(
-    kind: Positional[Literal["latency", "scene"]],
+    kind: Positional[Literal["latency", "scene", "stability"]],
     scene: Path | None = None,
     fingers: int = 3,
     seconds: float = 5.0,
+    integrators: tuple[str, ...] = (),
+    maps: tuple[str, ...] = (),
+    rate: float = 1000.0,
+    quick: bool = False,
+    out: Path | None = None,
     json: Path | None = None,
 ) -> None:
     """Measure on this machine.
 
     latency: one step inside a compiled loop, one packed call beside an empty one, the servo loop's lateness and
     missed ticks at 1 kHz, compile time. scene: equations, floating-point operations and time of a step of the scene,
-    and of the scene with each part switched off in turn. Example: hapjax benchmark latency --json latency.json
+    and of the scene with each part switched off in turn. stability: where each integrator settles, rings or blows up, and
+    how stiff a wall a device can press on. Example: hapjax benchmark latency --json latency.json
 
     Args:
         kind: Which measurement.
-        scene: Scene file (TOML); absent: the demo's.
+        scene: Scene file (TOML); absent: the demo's, and of stability the built-in cases.
         fingers: Number of fingers, 1 to 100.
         seconds: How long the servo loop of latency runs, above 0 to 3600 s.
+        integrators: Of stability: names as in scene files; none: all.
+        maps: Of stability: stiffness mass mass_ratio mu penetration spin inertia loop; none: all.
+        rate: Of stability: Hz at which --scene is to run, 10 to 100000.
+        quick: Of stability: a coarse grid.
+        out: Of stability: folder for the page, the pictures and the CSV files.
         json: File for the figures.
     """
-    from .benchmark import latency
+    from .benchmark import latency, stability
     from .benchmark import scene as parts
 
     if json is not None:
@@ -154,6 +165,8 @@ def benchmark(
     loaded = None if scene is None else load_scene(scene)
     if kind == "latency":
         latency.report(loaded, fingers, seconds, json)
+    elif kind == "stability":
+        stability.report(loaded, maps, integrators, quick, rate, fingers, out, json)
     else:
         parts.report(loaded, fingers, json)
 

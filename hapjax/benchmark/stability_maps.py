@@ -1,7 +1,7 @@
 """The maps: which parameter runs over which values, and the verdicts of their cells for integrators and precisions."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
@@ -21,42 +21,58 @@ DTYPES = ("float64", "float32")
 
 @dataclass(frozen=True)
 class Map:
-    """A parameter against the time step: `values` of the `parameter`, in `unit`; `log`, whether they are spread so."""
+    """A parameter against the time step: `values` of the `parameter`, in `unit`.
+
+    `build` makes a scene and its state of an integrator's name and numbers; `limit` gives for a value the time step, s,
+    up to which explicit integrators are stable, `None` where that has no formula.
+    """
 
     parameter: str
     label: str
     unit: str
     values: tuple[float, ...]
-    log: bool = True
     build: Callable[[str, Numbers], Start] = dropped_cube
+    limit: Callable[[float], float] | None = None
 
     def thinned(self) -> "Map":
         """The same with every fourth value: the ends, the middle and the quarters."""
-        return Map(self.parameter, self.label, self.unit, self.values[::4], self.log, self.build)
+        return replace(self, values=self.values[::4])
 
 
 def _decades(low: float, high: float) -> tuple[float, ...]:
-    return tuple(10.0 ** np.linspace(low, high, 13))
+    return tuple((10.0 ** np.linspace(low, high, 13)).tolist())
+
+
+def explicit_limit(**numbers: float) -> float:
+    """2 / w, s, of the fastest swing of a cube on its face: rocking, w^2 = 6 k / m times the inertia ratio.
+
+    Four corners of stiffness k at half an edge from the axis, against a moment of m edge^2 / 6 over the ratio.
+    """
+    all_of = BASE | numbers
+    return 2 / np.sqrt(6 * all_of["stiffness"] * all_of["inertia_ratio"] / all_of["mass"])
+
+
+def _cube_map(parameter: str, label: str, unit: str, values: Sequence[float]) -> Map:
+    def limit(value: float) -> float:
+        return explicit_limit(**{parameter: value})
+
+    return Map(parameter, label, unit, tuple(map(float, values)), limit=limit)
 
 
 MAPS = {
-    "stiffness": Map("stiffness", "stiffness", "N/m", _decades(2, 8)),
-    "mass": Map("mass", "mass", "kg", _decades(-3, 1)),
+    "stiffness": _cube_map("stiffness", "stiffness", "N/m", _decades(2, 8)),
+    "mass": _cube_map("mass", "mass", "kg", _decades(-3, 1)),
     "mass_ratio": Map(
-        "mass_ratio", "mass of the upper cube over that of the lower", "", _decades(0, 4), build=dropped_stack
+        "mass_ratio", "mass of the upper cube over that of the lower", "", _decades(0, 4), dropped_stack
     ),
-    "mu": Map("mu", "mu", "", (0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0), log=False),
-    "penetration": Map(
-        "gap", "place of the lowest corner at the start", "m", tuple(-np.linspace(0, 0.02, 13)), log=False
+    "mu": _cube_map("mu", "friction", "", (0, 0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10)),
+    "penetration": _cube_map(
+        "gap", "place of the lowest corner at the start", "m", -np.linspace(0, 0.02, 13)
     ),
-    "spin": Map(
-        "spin",
-        "spin",
-        "rad/s",
-        (0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 300.0, 500.0, 700.0, 1000.0),
-        log=False,
+    "spin": _cube_map("spin", "spin", "rad/s", (0, 1, 2, 5, 10, 20, 50, 100, 200, 300, 500, 700, 1000)),
+    "inertia": _cube_map(
+        "inertia_ratio", "two larger moments of inertia over the smallest", "", _decades(0, 4)
     ),
-    "inertia": Map("inertia_ratio", "two larger moments of inertia over the smallest", "", _decades(0, 4)),
 }
 
 
@@ -73,45 +89,42 @@ class Cell(NamedTuple):
     peak: float
 
 
+def chosen(names: Sequence[str], quick: bool) -> dict[str, Map]:
+    """The built-in maps of these names; `quick`: thinned. **Raises:** `InputError` for a name that is none of a map."""
+    check_names("maps", names, MAPS)
+    return {name: MAPS[name].thinned() if quick else MAPS[name] for name in names}
+
+
 def measure(
-    maps: Sequence[str],
+    maps: Mapping[str, Map],
     integrators: Sequence[str],
-    quick: bool = False,
+    dts: Sequence[float] = DTS,
     advance: Callable[[str, float], Any] = lambda doing, steps: None,
 ) -> list[Cell]:
-    """Every cell of `maps` for `integrators` in float64 and float32; needs 64-bit numbers on.
+    """Every cell of `maps` by `dts` (s) for `integrators` in float64 and float32; needs 64-bit numbers on.
 
-    **Arguments:** `quick`: every fourth value, three time steps; `advance(doing, steps)` is called after each row of a
-    map with what is being done and the share of the work done, in steps.
+    **Arguments:** `advance(doing, steps)` is called before and after each row of a map, with what is being done and the
+    share of the work done, in steps.
 
-    **Raises:** `InputError` for a name that is none of a map or an integrator.
+    **Raises:** `InputError` for a name that is none of an integrator.
     """
-    check_names("maps", maps, MAPS)
     check_names("integrators", integrators, METHODS)
     cells = []
-    for name in maps:
-        one = MAPS[name].thinned() if quick else MAPS[name]
-        for method, dtype in product(integrators, DTYPES):
-            program = Cells(partial(one.build, method), jnp.dtype(dtype))
-            for dt in time_steps(quick):
-                advance(f"{name}, {method}, {dtype}, dt = {dt * 1e3:g} ms", 0)
-                found = program.run([BASE | {one.parameter: value} for value in one.values], dt)
-                rows = zip(one.values, found.verdict, found.quiet_after, found.peak, strict=True)
-                cells += [
-                    Cell(name, method, dtype, float(v), dt, s, float(q), float(p)) for v, s, q, p in rows
-                ]
-                advance(f"{name}, {method}, {dtype}, dt = {dt * 1e3:g} ms", SECONDS / dt)
+    for (name, one), method, dtype in product(maps.items(), integrators, DTYPES):
+        program = Cells(partial(one.build, method), jnp.dtype(dtype))
+        for dt in sorted(dts, reverse=True):  # what is wrong shows early
+            doing = f"{name}, {method}, {dtype}, dt = {dt * 1e3:g} ms"
+            advance(doing, 0)
+            found = program.run([BASE | {one.parameter: value} for value in one.values], dt)
+            rows = zip(one.values, found.verdict, found.quiet_after, found.peak, strict=True)
+            cells += [Cell(name, method, dtype, v, dt, s, float(q), float(p)) for v, s, q, p in rows]
+            advance(doing, SECONDS / dt)
     return cells
 
 
-def time_steps(quick: bool) -> tuple[float, ...]:
-    """The time steps of a map, the longest first: what is wrong shows early."""
-    return tuple(sorted(QUICK_DTS if quick else DTS, reverse=True))
-
-
-def work(maps: Sequence[str], integrators: Sequence[str], quick: bool) -> float:
+def work(maps: Mapping[str, Map], integrators: Sequence[str], dts: Sequence[float] = DTS) -> float:
     """The sum of the steps that `measure` tells `advance` of."""
-    return len(maps) * len(integrators) * len(DTYPES) * sum(SECONDS / dt for dt in time_steps(quick))
+    return len(maps) * len(integrators) * len(DTYPES) * sum(SECONDS / dt for dt in dts)
 
 
 def unsettled(

@@ -1,0 +1,162 @@
+"""Where each integrator settles, rings or blows up, and how stiff a wall a device can be pressed on."""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import jax
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from ..errors import InputError
+from ..extras import need
+from ..files import check_makeable, replacing
+from ..integrate import METHODS
+from ..scene import Scene
+from . import stability_loop as loop
+from . import stability_maps as plans
+from . import stability_page as page
+from . import stability_scene as own
+
+LOOP = "loop"
+Advance = Callable[[str, float], Any]
+
+
+def measure(
+    scene: Scene | None,
+    maps: Sequence[str],
+    integrators: Sequence[str],
+    quick: bool,
+    rate: float,
+    fingers: int,
+    advance: Advance = lambda doing, steps: None,
+) -> dict[str, Any]:
+    """`maps`: what was drawn; `cells`, `loop`, `choices` and `walls`: what was found; needs 64-bit numbers on.
+
+    **Arguments:** `scene` `None`: the built-in cases; else only that scene's own map, its choices at `rate` (Hz) with
+    `fingers`, and its walls. `quick`: a coarse grid.
+
+    **Raises:** `InputError` for names, numbers or a scene that cannot be.
+    """
+    figures: dict[str, Any] = {"maps": {}, "cells": [], "loop": [], "choices": [], "walls": []}
+    if scene is not None:
+        figures["walls"] = own.walls(scene, rate)
+        if scene.moving():
+            one = own.scaled_map(scene)
+            figures["maps"] = {"scene": one.thinned() if quick else one}
+            dts = _scene_steps(scene, quick)
+            figures["cells"] = plans.measure(figures["maps"], integrators, dts, advance)
+            figures["choices"] = own.recommend(scene, integrators, rate, fingers, advance)
+        return figures
+    built_in = [name for name in maps if name != LOOP]
+    figures["maps"] = plans.chosen(built_in, quick) if built_in else {}
+    dts = plans.QUICK_DTS if quick else plans.DTS
+    figures["cells"] = plans.measure(figures["maps"], integrators, dts, advance)
+    if LOOP in maps:
+        figures["loop"] = loop.measure(_rates(quick), advance=advance)
+    return figures
+
+
+def report(
+    scene: Scene | None,
+    maps: Sequence[str],
+    integrators: Sequence[str],
+    quick: bool,
+    rate: float,
+    fingers: int,
+    out: Path | None,
+    file: Path | None,
+) -> None:
+    """Measure, print the tables, and write the figures as JSON, and a folder of pictures, where they are asked for.
+
+    No `maps` and no `integrators` stand for all.
+    """
+    known = [*plans.MAPS, LOOP]
+    maps, integrators = maps or known, integrators or list(METHODS)
+    plans.check_names("maps", maps, known)
+    plans.check_names("integrators", integrators, METHODS)
+    if not 10 <= rate <= 1e5:
+        raise InputError(f"rate is {rate:g} Hz; allowed: 10 to 100000")
+    if not 1 <= fingers <= 100:
+        raise InputError(f"fingers is {fingers}; allowed: 1 to 100")
+    if out is not None:
+        need("matplotlib", "bench")
+        check_makeable(out)
+    console = Console()
+    with jax.enable_x64(True), following(_work(scene, maps, integrators, quick, rate)) as advance:
+        figures = measure(scene, maps, integrators, quick, rate, fingers, advance)
+    tables, sentences = _said(figures, rate)
+    for title, (header, rows) in tables.items():
+        console.print(page.table(title, header, rows))
+    for sentence in sentences:
+        console.print(sentence)
+    if file is not None:
+        with replacing(file) as opened:
+            json.dump({"device": str(jax.devices()[0]), "rate": rate, **_plain(figures)}, opened, indent=1)
+            opened.write("\n")
+    if out is not None:
+        made = page.write(out, figures["maps"], figures["cells"], figures["loop"], tables, sentences)
+        print(f"report: {made}")
+
+
+def _said(figures: Mapping[str, Any], rate: float):
+    """The tables by their titles, and the sentences below them."""
+    tables, sentences = {}, []
+    if figures["cells"]:
+        tables["settled / ringing / blown up"] = page.counts(figures["cells"])
+        sentences += [page.WHAT] if "scene" in figures["maps"] else [page.WHAT, page.BASE_CASE]
+    if figures["loop"]:
+        tables["the closed loop"] = page.loop_rows(figures["loop"])
+        sentences.append(page.LOOP)
+    if figures["walls"]:
+        tables["what fingers feel, by Colgate's bound b > K T / 2"] = page.wall_rows(figures["walls"])
+    if figures["choices"]:
+        tables["the scene's integrators"] = page.choice_rows(figures["choices"], rate)
+        sentences.append(page.advice(figures["choices"], rate))
+    return tables, sentences
+
+
+def _plain(figures: Mapping[str, Any]) -> dict[str, Any]:
+    names = ("cells", "loop", "choices", "walls")
+    return {"maps": list(figures["maps"])} | {n: [row._asdict() for row in figures[n]] for n in names}
+
+
+def _scene_steps(scene: Scene, quick: bool) -> list[float]:
+    """From 0.1 to 20 times the scene's own step, s, as the built-in maps around 1 ms."""
+    return [float(scene.integrator.dt) * dt / 1e-3 for dt in (plans.QUICK_DTS if quick else plans.DTS)]
+
+
+def _rates(quick: bool) -> tuple[float, ...]:
+    return loop.RATES[:2] if quick else loop.RATES
+
+
+def _work(scene: Scene | None, maps, integrators, quick: bool, rate: float) -> float:
+    if scene is not None:
+        if not scene.moving():
+            return 0.0
+        one = {"scene": own.scaled_map(scene)}
+        return plans.work(one, integrators, _scene_steps(scene, quick)) + own.recommend_work(
+            integrators, rate
+        )
+    total = plans.work(
+        {name: plans.MAPS[name] for name in maps if name != LOOP},
+        integrators,
+        plans.QUICK_DTS if quick else plans.DTS,
+    )
+    return total + (loop.work(_rates(quick)) if LOOP in maps else 0.0)
+
+
+@contextmanager
+def following(total: float) -> Iterator[Advance]:
+    """Show, on stderr if it is a terminal, what is being done and the time left while the block runs."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("compiling", total=total)
+
+        def advance(doing: str, steps: float) -> None:
+            bar.update(task, advance=steps, description=doing)
+
+        yield advance

@@ -1,0 +1,159 @@
+"""What the stability maps leave behind: tables for the terminal, CSV, PNG, and one page complete in itself."""
+
+import base64
+import csv
+import io
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from rich.table import Column, Table
+
+from ..errors import InputError
+from ..files import replacing
+from .stability_cells import BLOWN_UP, LATEST, QUIET, RINGING, SECONDS, SETTLED, WILD
+from .stability_loop import Limit
+from .stability_maps import Cell, Map
+from .stability_scene import Choice, Wall, cheapest
+
+_STYLE = """body{font:15px/1.5 sans-serif;max-width:1150px;margin:2em auto;padding:0 1em;color:#222}
+table{border-collapse:collapse;margin:1em 0}th,td{border:1px solid #ccc;padding:.25em .7em;text-align:left}
+img{max-width:100%}h2{margin-top:2em}"""
+
+WHAT = (
+    f"A cell is settled if over the last {SECONDS - LATEST:.1f} s of {SECONDS:g} s the energy of the normal motion and that "
+    f"of the tilt stay under {QUIET:g} m g L, blown up if the energy of its motion and height ever is above {WILD:g} "
+    "times that of the start plus m g L, or ends there while it falls, or is no number; ringing otherwise. L is the "
+    "object's size."
+)
+BASE_CASE = (
+    "Where the map does not say otherwise: a uniform cube of 50 g and 40 mm, tilted by 0.3 rad about no edge, is let go "
+    "with its lowest corner 10 mm above a floor of k = 10 kN/m a corner, mu = 0.5, c = 1 s/m, gravity 9.81 m/s^2. Spin is "
+    "about the vertical. A mass ratio is that of a cube of 30 mm dropped on one of 40 mm that stands on the floor, their "
+    "geometric mean 50 g. An inertia ratio of r makes the moment about one axis smaller by r. Dashed: the time step 2 / w "
+    "of the fastest swing on a face, w^2 = 6 k / m, times the inertia ratio, beyond which no explicit integrator is stable."
+)
+LOOP = (
+    "A device of mass m and damping b is pressed with 1 N on a wall that hapjax steps at the rate, on positions that "
+    "are late by whole samples. Lines: the stiffest passive wall, b > K T / 2 (Colgate and Schenkel 1997), with a delay of "
+    "d samples b > K T (1/2 + d), whoever holds the device. Marks: the stiffest stable one in simulation, of the device "
+    "alone."
+)
+
+
+def counts(cells: Sequence[Cell]) -> tuple[list[str], list[list[str]]]:
+    """Settled, ringing and blown-up cells of each map and precision: the header, and a row of each."""
+    methods = list(dict.fromkeys(c.integrator for c in cells))
+    kinds = list(dict.fromkeys((c.map, c.dtype) for c in cells))
+    tally = Counter((c.map, c.dtype, c.integrator, c.verdict) for c in cells)
+
+    def cell(kind, method):
+        return " / ".join(str(tally[(*kind, method, v)]) for v in (SETTLED, RINGING, BLOWN_UP))
+
+    return ["map", "numbers", *methods], [[*kind, *(cell(kind, m) for m in methods)] for kind in kinds]
+
+
+def loop_rows(limits: Sequence[Limit]) -> tuple[list[str], list[list[str]]]:
+    """By rate and delay, how the stable stiffness is to the passive one: the header, and a row of each."""
+    rows = []
+    for rate, delay in dict.fromkeys((x.rate, x.delay) for x in limits):
+        some = [x.stable / x.passive for x in limits if (x.rate, x.delay) == (rate, delay)]
+        passive = next(x.passive / x.damping for x in limits if (x.rate, x.delay) == (rate, delay))
+        rows.append([f"{rate:g}", str(delay), f"{passive:g}", f"{min(some):.3f} to {max(some):.3f}"])
+    return ["rate, Hz", "samples late", "passive, N/m for each N s/m", "stable over passive"], rows
+
+
+def choice_rows(choices: Sequence[Choice], rate: float) -> tuple[list[str], list[list[str]]]:
+    """The integrators and substeps that were tried on the user's scene, cheapest first."""
+    rows = [
+        [c.integrator, str(c.substeps), f"{c.step_us:.1f}", "yes" if c.margin >= 1 else "no", f"{c.margin:g}"]
+        for c in choices
+    ]
+    return ["integrator", "substeps", f"us a step at {rate:g} Hz", "settles", "up to stiffness times"], rows
+
+
+def wall_rows(walls: Sequence[Wall]) -> tuple[list[str], list[list[str]]]:
+    """The damping that devices need on the user's surfaces."""
+    rows = [[w.name, f"{w.stiffness:g}", f"{w.damping:.3g}", f"{w.damping_one_late:.3g}"] for w in walls]
+    return ["surface", "N/m", "device's damping, N s/m, above", "one sample late, above"], rows
+
+
+def advice(choices: Sequence[Choice], rate: float) -> str:
+    """The recommendation in one sentence."""
+    best = cheapest(choices)
+    if best is None:
+        return f"At {rate:g} Hz the scene settles with none of the integrators and substeps tried."
+    return (
+        f"At {rate:g} Hz the cheapest that settles is {best.integrator} with substeps = {best.substeps}: "
+        f"{best.step_us:.1f} us a step, and contacts up to {best.margin:g} times as stiff settle too."
+    )
+
+
+def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """A table for the terminal."""
+    made = Table(*(Column(name) for name in header), title=title)
+    for row in rows:
+        made.add_row(*row)
+    return made
+
+
+def write(
+    folder: Path,
+    maps: Mapping[str, Map],
+    cells: Sequence[Cell],
+    limits: Sequence[Limit],
+    tables: Mapping[str, tuple[list[str], list[list[str]]]],
+    sentences: Sequence[str],
+) -> Path:
+    """Write `stability.csv`, `loop.csv`, a PNG of each map, and `stability.html`; returns the page's path.
+
+    **Raises:** `InputError` where the folder cannot be made or written.
+    """
+    from . import stability_pictures as pictures  # matplotlib takes long to import
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: no such folder can be made: {error.strerror or error}") from error
+    drawn = {name: pictures.of_map(one, [c for c in cells if c.map == name]) for name, one in maps.items()}
+    if cells:
+        _write_csv(folder / "stability.csv", Cell._fields, cells)
+    if limits:
+        _write_csv(folder / "loop.csv", Limit._fields, limits)
+        drawn["loop"] = pictures.of_loop(limits)
+    for name, png in drawn.items():
+        with replacing(folder / f"stability_{name}.png", "wb") as file:
+            file.write(png)
+    page = folder / "stability.html"
+    with replacing(page) as file:
+        file.write(_page(drawn, tables, sentences))
+    return page
+
+
+def _write_csv(path: Path, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    with replacing(path) as file:
+        file.write(text.getvalue())
+
+
+def _page(drawn: Mapping[str, bytes], tables, sentences: Sequence[str]) -> str:
+    parts = [f"<p>{escape(sentence)}</p>" for sentence in sentences]
+    for title, (header, rows) in tables.items():
+        head = "".join(f"<th>{escape(name)}</th>" for name in header)
+        body = "".join("<tr>" + "".join(f"<td>{escape(x)}</td>" for x in row) + "</tr>" for row in rows)
+        parts.append(f"<h2>{escape(title)}</h2><table><tr>{head}</tr>{body}</table>")
+    for name, png in drawn.items():
+        data = base64.b64encode(png).decode()
+        parts.append(f'<h2>{escape(name)}</h2><img alt="{escape(name)}" src="data:image/png;base64,{data}">')
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>hapjax stability</title><style>{_STYLE}</style></head><body>\n<h1>Stability</h1>\n"
+        + "\n".join(parts)
+        + "\n</body></html>\n"
+    )

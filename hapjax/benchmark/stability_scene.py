@@ -1,0 +1,154 @@
+"""A user's own scene: its objects are nudged, its stiffness and time step scaled; which integrator is the cheapest."""
+
+import dataclasses
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import InputError
+from ..integrate import METHODS
+from ..scene import Scene, cast
+from ..simulate import init
+from ._timing import compiled, step_us
+from .stability_cells import AWAY, SECONDS, SETTLED, Cells, Numbers, Start
+from .stability_loop import passive_stiffness
+from .stability_maps import DTYPES, Map, _decades
+
+NUDGE, TURN = 0.1, 1.0  # m/s down and rad/s about a horizontal axis, of every object at the start
+SUBSTEPS = (1, 2, 4, 8, 16, 32, 64)
+
+
+class Choice(NamedTuple):
+    """An integrator with substeps: `step_us` of a step of the scene in a compiled loop; `margin`, by which factor its
+    contacts could be stiffer. Below 1 the scene does not settle as it is; 0: nor with any softer contacts tried."""
+
+    integrator: str
+    substeps: int
+    step_us: float
+    margin: float
+
+
+class Wall(NamedTuple):
+    """A surface that fingers feel, N/m, and what damping a device has to have of its own, N s/m, by Colgate's bound."""
+
+    name: str
+    stiffness: float
+    damping: float
+    damping_one_late: float
+
+
+def scaled_map(scene: Scene) -> Map:
+    """The map of a scene: a factor of all contacts' stiffness, against time steps from 0.1 to 20 times its own.
+
+    **Raises:** `InputError` where an object that moves has nothing to come to rest on, or there is no gravity.
+    """
+    if scene.world.gravity is None or not np.any(np.asarray(scene.world.gravity)):
+        raise InputError(
+            "world.gravity is none, so nothing comes to rest; allowed for this: a scene with gravity"
+        )
+    held = {name for pair in scene.contact.values() for name in pair.between}
+    for name in scene.moving():
+        if name not in held:
+            raise InputError(
+                f"object.{name} has a body and no contact, so it falls for ever; allowed for this: a contact that names it"
+            )
+    return Map(
+        "stiffness_factor", "stiffness of the contacts, times", "", _decades(-2, 4), partial(_scaled, scene)
+    )
+
+
+def recommend(
+    scene: Scene,
+    integrators: Sequence[str],
+    rate: float,
+    fingers: int,
+    advance: Callable[[str, float], Any] = lambda doing, steps: None,
+) -> list[Choice]:
+    """Each integrator with each number of substeps at `rate` (Hz), the cheapest first; needs 64-bit numbers on.
+
+    It settles where both in float64 and in float32 it does, with the scene's stiffness and with all softer ones tried.
+    N substeps cost N times a step without.
+    """
+    one, choices = scaled_map(scene), []
+    for method in integrators:
+        margins = {n: np.inf for n in SUBSTEPS}
+        for dtype in DTYPES:
+            program = Cells(partial(one.build, method), jnp.dtype(dtype))
+            for n in SUBSTEPS:
+                dt = 1 / (rate * n)
+                advance(f"{method}, {dtype}, {n} substeps", 0)
+                verdict = program.run([{one.parameter: value} for value in one.values], dt).verdict
+                margins[n] = min(margins[n], _margin(one.values, verdict))
+                advance(f"{method}, {dtype}, {n} substeps", SECONDS / dt)
+        cost = _step_us(scene, method, fingers)
+        choices += [Choice(method, n, cost * n, margins[n]) for n in SUBSTEPS]
+    return sorted(choices, key=lambda choice: choice.step_us)
+
+
+def recommend_work(integrators: Sequence[str], rate: float) -> float:
+    """The sum of the steps that `recommend` tells `advance` of."""
+    return len(integrators) * len(DTYPES) * SECONDS * rate * sum(SUBSTEPS)
+
+
+def cheapest(choices: Sequence[Choice]) -> Choice | None:
+    """The first that settles; `None`: none does."""
+    return next((choice for choice in choices if choice.margin >= 1), None)
+
+
+def walls(scene: Scene, rate: float) -> list[Wall]:
+    """The surfaces that fingers feel, with Colgate's bound at `rate` (Hz), for positions in time and one sample late."""
+    found = []
+    for name in scene.touchable():
+        surface = scene.object[name].surface
+        assert surface is not None
+        stiffness = float(surface.stiffness)
+        needs = [stiffness / passive_stiffness(1.0, rate, late) for late in (0, 1)]
+        found.append(Wall(f"object.{name}.surface", stiffness, *needs))
+    return found
+
+
+def _margin(factors: Sequence[float], verdict: Sequence[str]) -> float:
+    """The largest factor up to which all settle, 0 where the first does not."""
+    good = [v == SETTLED for v in verdict]
+    stop = good.index(False) if False in good else len(good)
+    return factors[stop - 1] if stop else 0.0
+
+
+def _scaled(scene: Scene, method: str, numbers: Numbers) -> Start:
+    """The scene with an integrator and stiffer contacts, its objects nudged."""
+    factor = numbers["stiffness_factor"]
+    scene = cast(dataclasses.replace(scene, integrator=METHODS[method](dt=scene.integrator.dt)), factor.dtype)
+
+    def stiffer(pair):
+        own = pair.tangential_stiffness
+        tangential = None if own is None else factor * own
+        return dataclasses.replace(pair, stiffness=factor * pair.stiffness, tangential_stiffness=tangential)
+
+    contact = OrderedDict((name, stiffer(pair)) for name, pair in scene.contact.items())
+    scene = dataclasses.replace(scene, contact=contact)
+    gimbal = jnp.zeros(1, factor.dtype) if scene.torsion is not None and scene.torsion.needs_gimbal else None
+    state = init(scene, jnp.full((1, 3), AWAY, factor.dtype), gimbal)
+    gravity = scene.world.gravity
+    assert gravity is not None
+    down = gravity / jnp.sqrt(jnp.sum(gravity**2))
+    across = jnp.cross(down, jnp.roll(down, 1) + jnp.asarray([0.3, 0.1, 0.2], factor.dtype))
+    spin = TURN * across / jnp.sqrt(jnp.sum(across**2))
+    for name, motion in state.motion.items():
+        state = eqx.tree_at(lambda s, n=name: s.motion[n].velocity, state, NUDGE * down)
+        if motion.spin is not None:
+            state = eqx.tree_at(lambda s, n=name: s.motion[n].spin, state, spin)
+    return scene, state
+
+
+def _step_us(scene: Scene, method: str, fingers: int) -> float:
+    """us of a step without substeps in a compiled loop, fingers out of reach."""
+    scene = dataclasses.replace(scene, integrator=METHODS[method](dt=scene.integrator.dt))
+    hip = np.full((fingers, 3), AWAY)
+    gimbal = np.zeros(fingers) if scene.torsion is not None and scene.torsion.needs_gimbal else None
+    loop, _ = compiled(scene, hip, gimbal)
+    return step_us([loop], runs=3)[0]
