@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..extras import need
-from ._sweep import LONG, REPEATS, Point, difference, mean_square, neighbours
+from ._sweep import LONG, REPEATS, Point, Sweep, difference, mean_square, neighbours
 from .cases import Case, Mujoco
 
 INTEGRATORS = {"Euler": "mjINT_EULER", "implicitfast": "mjINT_IMPLICITFAST", "RK4": "mjINT_RK4"}
@@ -98,13 +98,15 @@ class Model:
         return drive
 
 
-def curve(case: Case, integrator: str, counts: Sequence[int], law: np.ndarray, around: int) -> list[Point]:
-    """The points of one integrator, coarsest first."""
+def curve(case: Case, integrator: str, counts: Sequence[int], law: np.ndarray, sweep: Sweep) -> list[Point]:
+    """The points of one integrator, coarsest first, as long as runs are short."""
     assert isinstance(case.mujoco, Mujoco)
     model, points = Model(case, case.mujoco, integrator), []
     for steps in counts:
+        if points and sweep.is_too_long(points[-1], steps):
+            break
         _, taken = model.run(steps)
-        values = [model.run(n, 1)[0] for n in neighbours(steps, around)]
+        values = [model.run(n, 1)[0] for n in neighbours(steps, sweep.around)]
         error = mean_square([difference(value, law) for value in values])
         points.append(Point(case.seconds / steps, taken / case.seconds, None, error))
     return points

@@ -6,17 +6,20 @@ from typing import Any
 import numpy as np
 
 DECADES, LEAST = 1.5, 3  # the finest decades of dt that a fit takes, and the least number of points
+ROUNDING = 10 * np.finfo(float).eps  # of a step, in units of what is compared
 
 
-def fitted_order(dts: Sequence[float], errors: Sequence[float | None], floor: float) -> float | None:
-    """The slope of log error over log dt in the finest 1.5 decades in which errors stand above `floor`.
+def fitted_order(
+    dts: Sequence[float], errors: Sequence[float | None], seconds: float, floor: float
+) -> float | None:
+    """The slope of log error over log dt in the finest 1.5 decades in which errors stand above noise.
 
-    `None`: fewer than three such points.
+    The noise is `floor`, to which the truth is known, or the rounding of as many steps. `None`: fewer than three points.
     """
     kept = [
         (dt, e)
         for dt, e in zip(dts, errors, strict=True)
-        if e is not None and np.isfinite(e) and e > 3 * floor
+        if e is not None and np.isfinite(e) and e > 3 * max(floor, ROUNDING * seconds / dt)
     ]
     if not kept:
         return None
@@ -49,9 +52,9 @@ def equal_time(
     runs = [[p.run for points in side.values() for p in points] for side in (ours, theirs)]
     if not all(runs):
         return []
-    first, last = max(map(min, runs)), max(map(max, runs))
+    first, last = max(map(min, runs)), min(map(max, runs))
     rows = []
-    for run in first * 10 ** (np.arange(np.ceil(3 * np.log10(last / first)) + 1) / 3):
+    for run in first * 10 ** (np.arange(np.floor(3 * np.log10(max(last / first, 1))) + 1) / 3):
         left, right = best_within(ours, run, floor), best_within(theirs, run, floor)
         if left is None or right is None:
             continue

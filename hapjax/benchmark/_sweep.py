@@ -16,6 +16,8 @@ from ..simulate import State, init, step
 from .cases import Case
 
 REPEATS, LONG = 3, 0.3  # runs shorter than LONG s are repeated, and the best counts
+ROUND = 0.01  # s that a timed call takes at least
+HUGE = 1e3  # an error above it is that of a run that has blown up
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,6 +32,26 @@ class Point:
     error: float | None
     law_error: float
     gradient_error: float | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """How much is run: hapjax's and MuJoCo's `dts` (s), `around` further numbers of steps whose errors are averaged
+    with each, and the `longest` run in s.
+    """
+
+    dts: Sequence[float]
+    mujoco_dts: Sequence[float]
+    around: int
+    longest: float
+
+    def is_too_long(self, before: Point, steps: int) -> bool:
+        """Whether so many steps would take too long, by what the point before took."""
+        return before.run * before.dt * steps > self.longest
+
+
+FULL = Sweep(np.logspace(-2, -5.75, 16), np.logspace(-2, -4.5, 11), 3, 0.5)
+QUICK = Sweep(np.logspace(-2, -4.5, 8), np.logspace(-2, -4, 5), 0, 0.2)
 
 
 def when(integrator: str) -> float:
@@ -60,7 +82,7 @@ def final_state(case: Case, integrator: str) -> tuple[Scene, Callable[[Scene, An
 
 
 class Program:
-    """A compiled case with one integrator: `run(dt)` gives what is compared and what the law speaks of."""
+    """A compiled case with one integrator, for any dt."""
 
     def __init__(self, case: Case, integrator: str):
         self.case = case
@@ -71,56 +93,118 @@ class Program:
             value = case.measure(state)
             return value, (value if case.law_measure is None else case.law_measure(state))
 
+        def repeated(scene, dt, steps, rounds):
+            # Each round waits for the one before, so that none is left out; no value is so large that it changes dt.
+            first = jax.tree.map(
+                lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(measured, scene, dt, steps)
+            )
+
+            def body(_, before):
+                return measured(scene, jnp.where(jnp.max(before[0]) == jnp.inf, 0.5 * dt, dt), steps)
+
+            return jax.lax.fori_loop(0, rounds, body, first)
+
         def slope(scene, dt, steps):
             assert case.gradient is not None
             where = case.gradient.where
-            at = lambda leaf: measured(eqx.tree_at(where, scene, leaf), dt, steps)[0]  # noqa: E731
+
+            def at(leaf):
+                return measured(eqx.tree_at(where, scene, leaf), dt, steps)[0]
+
             return jax.jvp(at, (where(scene),), (jnp.ones_like(where(scene)),))[1]
 
         self._slope = slope
-        example = self._arguments(1)
         began = time.perf_counter()
-        self._measured = jax.jit(measured).lower(*example).compile()
+        self._repeated = jax.jit(repeated).lower(*self._arguments(self.scene, 1), jnp.int32(1)).compile()
         self.compile_s = time.perf_counter() - began
 
-    def _arguments(self, steps: int):
-        leaf = jax.tree.leaves(self.scene)[0]
-        return self.scene, jnp.asarray(self.case.seconds / steps, leaf.dtype), jnp.asarray(steps, jnp.int32)
+    def _arguments(self, scene: Scene, steps: int):
+        dtype = jax.tree.leaves(scene)[0].dtype
+        return scene, jnp.asarray(self.case.seconds / steps, dtype), jnp.asarray(steps, jnp.int32)
 
-    def run(self, steps: int, repeats: int = REPEATS) -> tuple[np.ndarray, np.ndarray, float]:
-        """What is compared, what the law speaks of, and the least s of a run."""
-        arguments, best, value = self._arguments(steps), np.inf, None
-        for _ in range(repeats):
-            began = time.perf_counter()
-            value = jax.block_until_ready(self._measured(*arguments))
-            best = min(best, time.perf_counter() - began)
-            if best > LONG:
-                break
-        assert value is not None
-        return np.asarray(value[0]), np.asarray(value[1]), best
+    def run(self, steps: int, rigid: bool = False, rounds: int = 1) -> tuple[np.ndarray, np.ndarray, float]:
+        """What is compared, what the law speaks of, and s of a run, of the scene or of its `rigid` form."""
+        scene = self.scene
+        if rigid and self.case.rigid is not None:
+            scene = self.case.rigid(scene, self.case.seconds / steps)
+        arguments = (*self._arguments(scene, steps), jnp.int32(rounds))
+        began = time.perf_counter()
+        value, law = jax.block_until_ready(self._repeated(*arguments))
+        return np.asarray(value), np.asarray(law), (time.perf_counter() - began) / rounds
+
+    def timed(self, steps: int) -> float:
+        """The least s of a run, of several; short ones go round in one call, so that the call does not count."""
+        first = self.run(steps)[2]
+        rounds = int(min(max(np.ceil(ROUND / first), 1), 1000))
+        repeats = REPEATS if rounds * first < LONG else 1
+        return min(self.run(steps, rounds=rounds)[2] for _ in range(repeats))
 
     def compile_gradient(self) -> Callable[[int], np.ndarray]:
         """The program of the derivative in the case's leaf, by forward mode, for a number of steps."""
-        program = jax.jit(self._slope).lower(*self._arguments(1)).compile()
-        return lambda steps: np.asarray(program(*self._arguments(steps)))
+        program = jax.jit(self._slope).lower(*self._arguments(self.scene, 1)).compile()
+        return lambda steps: np.asarray(program(*self._arguments(self.scene, steps)))
 
 
-def steps_of(seconds: float, dts: Sequence[float], coarsest: float) -> list[int]:
+def steps_of(seconds: float, dts: Sequence[float]) -> list[int]:
     """Numbers of steps at about these dt, coarsest first; even, so that half time is between two steps."""
-    return sorted({2 * max(round(seconds / dt / 2), 1) for dt in dts if dt <= coarsest * 1.0001})
+    return sorted({2 * max(round(seconds / dt / 2), 1) for dt in dts})
 
 
 def neighbours(steps: int, number: int) -> list[int]:
     """Numbers of steps within 4 % of one, even: where in a step a touch begins is chance, so errors are averaged."""
-    return sorted({steps, *(2 * round(steps * (1 + 0.04 * j) / 2) for j in np.linspace(-1, 1, number))})
+    spread = np.linspace(-0.04, 0.04, number) if number else ()
+    return sorted({steps, *(2 * max(round(steps * (1 + part) / 2), 1) for part in spread)})
 
 
 def difference(value: np.ndarray, truth: np.ndarray) -> float:
-    """The norm of the difference; infinite where a run has left all numbers."""
+    """The norm of the difference; infinite where a run has blown up."""
     error = float(np.linalg.norm(np.asarray(value, float) - truth))
-    return error if np.isfinite(error) else float("inf")
+    return error if error < HUGE else float("inf")
 
 
 def mean_square(errors: Sequence[float]) -> float:
     """The root of the mean square."""
     return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def curve(
+    case: Case, integrator: str, truth: np.ndarray | None, law: np.ndarray, sweep: Sweep
+) -> tuple[list[Point], float]:
+    """The points of one integrator, coarsest first, as long as runs are short; and s to compile."""
+    program, points = Program(case, integrator), []
+    slope = None if case.gradient is None else program.compile_gradient()
+    for steps in steps_of(case.seconds, sweep.dts):
+        if points and sweep.is_too_long(points[-1], steps):
+            break
+        around = neighbours(steps, sweep.around)
+        runs = [program.run(n)[:2] for n in around]
+        laws = (
+            [program.run(n, rigid=True)[1] for n in around] if case.rigid else [of_law for _, of_law in runs]
+        )
+        slopes = None if slope is None else [_off(slope(n), case) for n in around]
+        points.append(
+            Point(
+                case.seconds / steps,
+                program.timed(steps) / case.seconds,
+                None if truth is None else mean_square([difference(v, truth) for v, _ in runs]),
+                mean_square([difference(v, law) for v in laws]),
+                None if slopes is None else mean_square(slopes),
+            )
+        )
+    return points, program.compile_s
+
+
+def _off(slope: np.ndarray, case: Case) -> float:
+    assert case.gradient is not None
+    truth = case.gradient.truth()
+    return difference(slope, truth) / float(np.linalg.norm(truth))
+
+
+def extrapolated(case: Case, sweep: Sweep) -> tuple[np.ndarray, float]:
+    """The truth by Richardson's extrapolation of the most accurate integrator's finest steps, and its uncertainty."""
+    integrator = "lie_midpoint" if "lie_midpoint" in METHODS else "semi_implicit"
+    program, order = Program(case, integrator), case.order(integrator).value or 1
+    finest = steps_of(case.seconds, sweep.dts)[-1]
+    first, second, third = (program.run(finest * n)[0] for n in (1, 2, 4))
+    better = [b + (b - a) / (2**order - 1) for a, b in ((first, second), (second, third))]
+    return better[1], difference(better[1], better[0])

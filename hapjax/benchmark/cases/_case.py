@@ -66,6 +66,8 @@ class Case:
     - `measure(state)`: the numbers that are compared; an error is the Euclidean norm of a difference.
     - `truth()`: of the equations that hapjax solves, in closed form or from an independent program. `None`: extrapolated.
     - `law()`: of the rigid law that both programs approximate, where it is not the same. MuJoCo is compared by it.
+    - `rigid(scene, dt)`: the scene as stiff as dt allows, for the comparison by the law; MuJoCo's contacts are so by
+      themselves. `None`: as it is.
     - `law_measure`: what the law speaks of, where it is not what `measure` gives.
     - `known`: where the truth comes from, in words.
     - `orders`: of integrators whose order differs here.
@@ -85,10 +87,10 @@ class Case:
     change: Callable[[Scene], Scene] | None = None
     truth: Callable[[], np.ndarray] | None = None
     law: Callable[[], np.ndarray] | None = None
+    rigid: Callable[[Scene, float], Scene] | None = None
     law_measure: Callable[[State], Any] | None = None
     gradient: Gradient | None = None
     orders: Mapping[str, Order] = field(default_factory=dict)
-    coarsest: float = 10e-3
 
     def order(self, integrator: str) -> Order:
         """The theory's order of an integrator on this case."""

@@ -88,7 +88,6 @@ SLIP = Case(
     ),
     mujoco=_gripped(1.01, SPEED),
     orders=EXACT,
-    coarsest=4e-3,
 )
 
 HOLD = Case(
@@ -103,7 +102,6 @@ HOLD = Case(
     known="closed form, at rest",
     mujoco=_gripped(0.99, 0.0),
     orders=HOLDS,
-    coarsest=4e-3,
 )
 
 # A step in load ---------------------------------------------------------------------------------------------
@@ -159,5 +157,4 @@ LOAD_STEP = Case(
         read=lambda model, data: data.qpos[:3].copy(),
         change=lambda model: model.opt.gravity.__setitem__(2, -HEAVIER * G),
     ),
-    coarsest=4e-3,
 )

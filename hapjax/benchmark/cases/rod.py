@@ -85,7 +85,6 @@ ROD = Case(
         read=lambda model, data: data.qpos[:3].copy(),
         path=_path,
     ),
-    coarsest=4e-3,
 )
 
 # The same rod, gripped softly: gravity drop ------------------------------------------------------------------
@@ -124,5 +123,4 @@ PENDULUM = Case(
     law=pendulum,
     known="independent equations, SciPy's DOP853 at 1e-12; law: a pendulum about stiff fingers",
     mujoco="it has no contact area that takes a share of the torque",
-    coarsest=4e-3,
 )
