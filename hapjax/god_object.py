@@ -170,7 +170,8 @@ def _press(surface: Surface, near: SurfacePoint, offset, sliding, rounding, velo
     offset = offset - jnp.sum(offset * normal) * normal
     pressing = normal_force if grip is None else grip.whole
     law = surface.hold(near, offset, pressing, viscous, travel, sliding, rounding, dt)
-    friction_force = jnp.where(in_contact, law.force, 0)
+    # Under the grip of the step before, friction must not end where the touch does: a force that jumps has no potential.
+    friction_force = law.force if grip is not None else jnp.where(in_contact, law.force, 0)
     force = normal_force * normal + friction_force
     circle = surface.static_at(near, friction_force) * depth
     remembered = None if law.sliding is None else jnp.where(in_contact, law.sliding, 0)

@@ -27,87 +27,85 @@ class Balance(eqx.Module):
 
     def residual(self, v: Float[Array, "D"]) -> Float[Array, "D"]:
         """By how much they do not agree (N s, N m s)."""
-        return self.mass @ (v - self.free) - self.dt * (self.force(self._slip(v)).ravel() @ self.slips)
+        force = self.force(self._slip(v))
+        return _times(self.mass, v - self.free) - self.dt * _times(self.slips.T, force.ravel())
 
     def solve(self, guess: Float[Array, "D"]) -> Float[Array, "D"]:
         """The v for which the residual is 0. Derivatives are those of the solution, not of the way to it."""
 
-        def tangent_solve(linear, y):
-            matrix = jax.vmap(linear, out_axes=1)(jnp.eye(y.size, dtype=y.dtype))
-            return jnp.linalg.solve(matrix, y)
-
         def balanced(v):
             return self.residual(v)
+
+        def tangent_solve(linear, y):
+            return jnp.linalg.solve(jax.vmap(linear, out_axes=1)(jnp.eye(y.size, dtype=y.dtype)), y)
 
         return jax.lax.custom_root(balanced, guess, lambda _, start: self._descend(start), tangent_solve)
 
     def _slip(self, v: Float[Array, "D"]) -> Float[Array, "N 3"]:
-        return (self.slips @ v).reshape(-1, 3)
+        return _times(self.slips, v).reshape(-1, 3)
 
     def _descend(self, start: Float[Array, "D"]) -> Float[Array, "D"]:
-        """Newton steps with an exact line search, until a step promises less than rounding can show."""
-        tolerance = jnp.finfo(start.dtype).eps
+        """Newton steps with an exact line search, until the residual is none or a step promises nothing more."""
+        energy = jnp.sum(start * _times(self.mass, start)) + jnp.sum(self.free * _times(self.mass, self.free))
+        eps = jnp.finfo(start.dtype).eps
+        little, least = eps**1.5 * energy, eps**2 * energy
 
         def goes_on(carry):
-            _, promise, count = carry
-            return (promise > tolerance) & (count < _MOST_STEPS)
+            _, residual, promise, count = carry
+            left = jnp.sum(residual**2 / jnp.diagonal(self.mass))
+            # Stiff touches multiply rounding, and the residual may stay; then a step has nothing to promise.
+            return (left > little) & (promise > least) & (count < _MOST_STEPS)
 
         def one(carry):
-            v, _, count = carry
-            change, slope = self._newton(v)
-            energy = v @ self.mass @ v + self.free @ self.mass @ self.free
-            promise = -slope / jnp.where(energy > 0, energy, 1)
-            return v + self._how_far(v, change, slope) * change, promise, count + 1
+            v, residual, _, count = carry
+            change = -jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(self._hessian(v)), residual)
+            promise = -jnp.sum(residual * change)
+            v, residual = self._down(v, change, promise, least)
+            return v, residual, promise, count + 1
 
-        return jax.lax.while_loop(goes_on, one, (start, jnp.ones_like(start[0]), 0))[0]
+        return jax.lax.while_loop(goes_on, one, (start, self.residual(start), energy + 1, 0))[0]
 
-    def _newton(self, v: Float[Array, "D"]) -> tuple[Float[Array, "D"], Float[Array, ""]]:
-        """The Newton step, and the slope of the function along it."""
+    def _hessian(self, v: Float[Array, "D"]) -> Float[Array, "D D"]:
         force, along = jax.linearize(self.force, self._slip(v))
         columns = [along(jnp.broadcast_to(axis, force.shape)) for axis in jnp.eye(3, dtype=v.dtype)]
         rows = jnp.stack(columns, axis=-1)  # of each point: force against slip
         stiffness = -(rows + jnp.swapaxes(rows, -1, -2)) / 2
         slips = self.slips.reshape(-1, 3, v.size)
         curvature = jnp.sum(stiffness[..., None] * slips[:, None], axis=2).reshape(-1, v.size)
-        hessian = self.mass + self.dt * (self.slips.T @ curvature)
-        residual = self.mass @ (v - self.free) - self.dt * (force.ravel() @ self.slips)
-        factor = jax.scipy.linalg.cho_factor(hessian)
-        change = -jax.scipy.linalg.cho_solve(factor, residual)
-        return change, residual @ change
+        return self.mass + self.dt * (self.slips.T @ curvature)
 
-    def _how_far(self, v, change, slope) -> Float[Array, ""]:
-        """The part of a Newton step that goes to the minimum along it: the whole, unless that climbs up again.
+    def _down(self, v, change, promise, least) -> tuple[Float[Array, "D"], Float[Array, "D"]]:
+        """To the minimum along a Newton step, which is its end unless it climbs again before; and the residual there.
 
-        The function is convex, so its slope along the step only grows: regula falsi (Illinois) finds where it is 0.
+        The function is convex, so its slope along the step only grows: secants and halvings in turn find where it is 0.
         """
-        slip, turn = self._slip(v), self._slip(change)
-        first, second = change @ self.mass @ (v - self.free), change @ self.mass @ change
-
-        def slope_at(part):
-            return first + part * second - self.dt * jnp.sum(turn * self.force(slip + part * turn))
 
         def goes_on(carry):
-            _, _, _, _, found, count = carry
-            return (jnp.abs(found) > 0.1 * jnp.abs(slope)) & (count < _MOST_TRIALS)
+            *_, slope, _, _, count = carry
+            return (jnp.abs(slope) > jnp.maximum(0.1 * promise, least)) & (count < _MOST_TRIALS)
 
         def one(carry):
-            low, low_slope, high, high_slope, _, count = carry
-            part = low - low_slope * (high - low) / (high_slope - low_slope)
-            found = slope_at(part)
-            below = found < 0
-            carry = (
-                jnp.where(below, part, low),
-                jnp.where(below, found, low_slope / 2),
-                jnp.where(below, high, part),
-                jnp.where(below, high_slope / 2, found),
-                found,
-                count + 1,
+            low, low_slope, high, high_slope, _, _, _, count = carry
+            secant = low - low_slope * (high - low) / (high_slope - low_slope)
+            part = jnp.where(count % 2 == 0, secant, (low + high) / 2)
+            residual = self.residual(v + part * change)
+            slope = jnp.sum(residual * change)
+            below, above = (
+                jnp.stack([part, slope, high, high_slope]),
+                jnp.stack([low, low_slope, part, slope]),
             )
-            return carry
+            ends = jnp.where(slope < 0, below, above)
+            return *ends, slope, part, residual, count + 1
 
-        whole, zero = slope_at(jnp.ones_like(slope)), jnp.zeros_like(slope)
-        # A slope still below 0 at the end of the step needs no search.
-        start = (zero, slope, jnp.ones_like(slope), whole, jnp.maximum(whole, 0), 0)
-        low, _, high, _, found, count = jax.lax.while_loop(goes_on, one, start)
-        last = jnp.where(found < 0, low, high)
-        return jnp.where(count == 0, 1, last)
+        whole = jnp.ones_like(promise)
+        residual = self.residual(v + change)
+        slope = jnp.sum(residual * change)
+        # Where the end still goes down there is nothing to search.
+        start = (0 * whole, -promise, whole, slope, jnp.maximum(slope, 0), whole, residual, 0)
+        *_, part, residual, _ = jax.lax.while_loop(goes_on, one, start)
+        return v + part * change, residual
+
+
+def _times(matrix: Float[Array, "A B"], vector: Float[Array, "B"]) -> Float[Array, "A"]:
+    # A product of small matrices is a call that the compiler fuses with nothing around it.
+    return jnp.sum(matrix * vector[None], axis=1)
