@@ -127,7 +127,7 @@ def fit(
 
 
 def benchmark(
-    kind: Positional[Literal["latency", "scene", "stability"]],
+    kind: Positional[Literal["latency", "scene", "stability", "error"]],
     scene: Path | None = None,
     fingers: int = 3,
     seconds: float = 5.0,
@@ -135,6 +135,9 @@ def benchmark(
     maps: tuple[str, ...] = (),
     rate: float = 1000.0,
     quick: bool = False,
+    cases: tuple[str, ...] = (),
+    hip: Path | None = None,
+    error: float = 1e-4,
     out: Path | None = None,
     json: Path | None = None,
 ) -> None:
@@ -143,30 +146,39 @@ def benchmark(
     latency: one step inside a compiled loop, one packed call beside an empty one, the servo loop's lateness and
     missed ticks at 1 kHz, compile time. scene: equations, floating-point operations and time of a step of the scene,
     and of the scene with each part switched off in turn. stability: where each integrator settles, rings or blows up, and
-    how stiff a wall a device can press on. Example: hapjax benchmark latency --json latency.json
+    how stiff a wall a device can press on. error: error against run time of each integrator, beside MuJoCo's, on cases
+    with a known truth. Example: hapjax benchmark latency --json latency.json
 
     Args:
         kind: Which measurement.
-        scene: Scene file (TOML); absent: the demo's, and of stability the built-in cases.
+        scene: Scene file (TOML); absent: the demo's, and of stability and error the built-in cases.
         fingers: Number of fingers, 1 to 100.
         seconds: How long the servo loop of latency runs, above 0 to 3600 s.
-        integrators: Of stability: names as in scene files; none: all.
+        integrators: Of stability and error: names as in scene files; none: all.
         maps: Of stability: stiffness mass mass_ratio mu penetration spin inertia loop; none: all.
-        rate: Of stability: Hz at which --scene is to run, 10 to 100000.
-        quick: Of stability: a coarse grid.
-        out: Of stability: folder for the page, the pictures and the CSV files.
+        rate: Of stability and error: Hz at which --scene is to run, 10 to 100000.
+        quick: Of stability: a coarse grid. Of error: fewer time steps, each run once, no gradients.
+        cases: Of error: names of built-in cases; none: all.
+        hip: Of error with --scene: recording (.npz, .csv) whose channel hip the fingers follow; absent: a virtual
+            operator grips and lifts the first object that moves.
+        error: Of error with --scene: m that the recommended integrator may be off at the end, above 0.
+        out: Of stability and error: folder for the page, the pictures and the CSV files.
         json: File for the figures.
     """
+    from .benchmark import error as errors
     from .benchmark import latency, stability
     from .benchmark import scene as parts
 
     if json is not None:
         check_writable(json)
-    loaded = None if scene is None else load_scene(scene)
+    with jax.enable_x64(kind == "error" or jax.config.read("jax_enable_x64")):
+        loaded = None if scene is None else load_scene(scene)
     if kind == "latency":
         latency.report(loaded, fingers, seconds, json)
     elif kind == "stability":
         stability.report(loaded, maps, integrators, quick, rate, fingers, out, json)
+    elif kind == "error":
+        errors.report(loaded, hip, fingers, cases, integrators, quick, error, rate, out, json)
     else:
         parts.report(loaded, fingers, json)
 

@@ -7,7 +7,6 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.box import SIMPLE
 from rich.table import Table
 
@@ -38,6 +37,7 @@ _ORDERS = (
     "why not the usual",
 )
 _EQUAL = ("case", "at run s/s", "hapjax errs", "with", "MuJoCo errs", "with", "hapjax / MuJoCo", "why")
+_CHOICES = ("integrator", "substeps", "error", "us a step")
 
 
 def order_rows(figures: dict[str, Any]) -> Iterator[list[str]]:
@@ -52,7 +52,7 @@ def order_rows(figures: dict[str, Any]) -> Iterator[list[str]]:
                 _number(data["order"], ".2f"),
                 "" if "theory" not in data else "none" if theory is None else f"{theory:g}",
                 _number(data.get("gradient_order"), ".2f"),
-                "" if point is None else f"{_error_of(point):.1e} {case['unit']}",
+                "" if point is None else _error_of(point, curve in _GREYS, case["unit"]),
                 "" if point is None else f"{point['run'] * point['dt'] * 1e6:.2f}",
                 data.get("reason", ""),
             ]
@@ -75,6 +75,13 @@ def equal_rows(figures: dict[str, Any]) -> Iterator[list[str]]:
             f"{row['factor']:.2g}",
             why(case, row),
         ]
+
+
+def choice_rows(figures: dict[str, Any]) -> Iterator[list[str]]:
+    """A row for each integrator and number of substeps of a user's scene, the cheapest first."""
+    for row in figures.get("choices", ()):
+        error = "blown up" if row["error"] is None else f"{row['error']:.1e} m"
+        yield [row["integrator"], str(row["substeps"]), error, f"{row['step_us']:.2f}"]
 
 
 def why(case: dict[str, Any], row: dict[str, Any]) -> str:
@@ -100,18 +107,24 @@ def why(case: dict[str, Any], row: dict[str, Any]) -> str:
 
 
 def tables(figures: dict[str, Any]) -> list[Table]:
-    """The two tables for a terminal."""
+    """The tables for a terminal."""
     shown = []
-    for title, headings, rows in (
-        ("Orders of convergence", _ORDERS, order_rows(figures)),
-        ("At equal run time, where hapjax is least ahead of MuJoCo", _EQUAL, equal_rows(figures)),
-    ):
+    for title, headings, rows in _tabled(figures):
         table = Table(*headings, title=title, title_justify="left", box=SIMPLE)
         for row in rows:
             table.add_row(*row)
-        if table.row_count:
-            shown.append(table)
+        shown.append(table)
     return shown
+
+
+def _tabled(figures: dict[str, Any]) -> list[tuple[str, tuple[str, ...], list[list[str]]]]:
+    """The tables that have rows: title, headings, rows."""
+    every = (
+        ("Orders of convergence", _ORDERS, list(order_rows(figures))),
+        ("At equal run time, where hapjax is least ahead of MuJoCo", _EQUAL, list(equal_rows(figures))),
+        ("What each errs and costs on this scene", _CHOICES, list(choice_rows(figures))),
+    )
+    return [table for table in every if table[2]]
 
 
 def sentences(figures: dict[str, Any]) -> list[str]:
@@ -128,7 +141,7 @@ def sentences(figures: dict[str, Any]) -> list[str]:
             "=100000000 a loop of steps becomes one function, several times as fast."
         )
     )
-    return [*found, loops]
+    return [*found, loops, *([figures["advice"]] if "advice" in figures else [])]
 
 
 def write(figures: dict[str, Any], out: Path) -> Path:
@@ -172,13 +185,16 @@ def picture(name: str, case: dict[str, Any]) -> bytes:
 
 def _line(axes, points, x: str, y: str, style) -> None:
     """Errors of 0 lie on the rim of what numbers tell apart."""
-    pairs = [(p[x], max(p[y], 1e-18)) for p in points if p[y] is not None and np.isfinite(p[y])]
+    pairs = [(p[x], max(p[y], 1e-18)) for p in points if p[y] is not None and p[x] is not None]
     if pairs:
         axes.loglog(*zip(*pairs, strict=True), **style)
 
 
 def _page(figures: dict[str, Any], pictures: dict[str, bytes]) -> str:
     sections = "".join(_section(name, case, pictures[name]) for name, case in figures["cases"].items())
+    tabled = "".join(
+        f"<h2>{escape(title)}</h2>{html_table(headings, rows)}" for title, headings, rows in _tabled(figures)
+    )
     notes = "".join(f"<p>{escape(s)}</p>" for s in sentences(figures))
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -186,9 +202,7 @@ def _page(figures: dict[str, Any], pictures: dict[str, bytes]) -> str:
         f"<title>hapjax: error against run time</title><style>{_STYLE}</style></head><body>\n"
         f"<h1>Error against run time</h1>\n<p>{escape(figures['device'])}, {figures['dtype']}, "
         f"MuJoCo {escape(figures['mujoco'])}.</p>{notes}\n"
-        f"<h2>Orders of convergence</h2>{html_table(_ORDERS, order_rows(figures))}\n"
-        f"<h2>At equal run time, where hapjax is least ahead of MuJoCo</h2>"
-        f"{html_table(_EQUAL, equal_rows(figures))}\n{sections}</body></html>\n"
+        f"{tabled}\n{sections}</body></html>\n"
     )
 
 
@@ -210,8 +224,10 @@ def html_table(headings, rows) -> str:
     return f'<div class="wide"><table><tr>{head}</tr>{body}</table></div>'
 
 
-def _error_of(point: dict[str, Any]) -> float:
-    return point["law_error"] if point["error"] is None else point["error"]
+def _error_of(point: dict[str, Any], is_mujoco: bool, unit: str) -> str:
+    """The error by the curve's own truth; MuJoCo has the law's alone."""
+    error = point["law_error"] if is_mujoco else point["error"]
+    return "blown up" if error is None else f"{error:.1e} {unit}"
 
 
 def _number(value: float | None, form: str) -> str:

@@ -37,21 +37,22 @@ class Point:
 @dataclasses.dataclass(frozen=True)
 class Sweep:
     """How much is run: hapjax's and MuJoCo's `dts` (s), `around` further numbers of steps whose errors are averaged
-    with each, and the `longest` run in s.
+    with each, the `longest` run in s, and whether `gradients` are run too.
     """
 
     dts: Sequence[float]
     mujoco_dts: Sequence[float]
     around: int
     longest: float
+    gradients: bool = True
 
     def is_too_long(self, before: Point, steps: int) -> bool:
         """Whether so many steps would take too long, by what the point before took."""
         return before.run * before.dt * steps > self.longest
 
 
-FULL = Sweep(np.logspace(-2, -5.75, 16), np.logspace(-2, -4.5, 11), 3, 0.5)
-QUICK = Sweep(np.logspace(-2, -4.5, 8), np.logspace(-2, -4, 5), 0, 0.2)
+FULL = Sweep([*np.logspace(-2, -5.75, 16)], [*np.logspace(-2, -4.5, 11)], 3, 0.5)
+QUICK = Sweep([*np.logspace(-2, -4.5, 8)], [*np.logspace(-2, -4, 5)], 0, 0.2, gradients=False)
 
 
 def when(integrator: str) -> float:
@@ -66,7 +67,8 @@ def final_state(case: Case, integrator: str) -> tuple[Scene, Callable[[Scene, An
     def final(scene: Scene, dt: Any, steps: Any) -> State:
         scene = eqx.tree_at(lambda s: s.integrator.dt, scene, dt)
         later = None if case.change is None else case.change(scene)
-        state = case.start(init(scene, case.hip((part - 1) * dt)))
+        begin = (part - 1) * dt
+        state = case.start(init(scene, case.hip(begin), None if case.gimbal is None else case.gimbal(begin)))
 
         def body(i, state):
             now = (
@@ -74,7 +76,9 @@ def final_state(case: Case, integrator: str) -> tuple[Scene, Callable[[Scene, An
                 if later is None
                 else jax.tree.map(lambda a, b: jnp.where(2 * i < steps, a, b), scene, later)
             )
-            return step(now, state, case.hip((i.astype(dt.dtype) + part) * dt))[0]
+            t = (i.astype(dt.dtype) + part) * dt
+            gimbal = None if case.gimbal is None else case.gimbal(t)
+            return step(now, state, case.hip(t), gimbal=gimbal)[0]
 
         return jax.lax.fori_loop(0, steps, body, state)
 
@@ -172,7 +176,7 @@ def curve(
 ) -> tuple[list[Point], float]:
     """The points of one integrator, coarsest first, as long as runs are short; and s to compile."""
     program, points = Program(case, integrator), []
-    slope = None if case.gradient is None else program.compile_gradient()
+    slope = None if case.gradient is None or not sweep.gradients else program.compile_gradient()
     for steps in steps_of(case.seconds, sweep.dts):
         if points and sweep.is_too_long(points[-1], steps):
             break

@@ -9,77 +9,120 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ..errors import InputError
+from ..extras import need
 from ..files import replacing
 from ..integrate import METHODS
+from ..scene import Scene, cast
 from . import _mujoco, _sweep
+from . import error_scene as own
 from ._order import equal_time, fitted_order
 from ._sweep import FULL, QUICK, Point, Sweep
 from .cases import CASES, Case, Mujoco
+from .stability import Advance, following
+from .stability_maps import check_names
 
 ROUNDING = 1e-12  # in the case's unit: nothing below is told apart from 0
 SOLVED = 1e-11  # to what an independent program knows its truth
 
 
-def chosen(kind: str, names: Sequence[str] | None, known: Sequence[str]) -> list[str]:
-    """The names, or all. **Raises:** `InputError` for one that is not known."""
-    for name in names or ():
-        if name not in known:
-            raise InputError(f"--{kind} has {name!r}; allowed: {', '.join(known)}")
-    return list(known) if names is None else [name for name in known if name in names]
-
-
 def measure(
-    cases: Sequence[str], integrators: Sequence[str], quick: bool, console: Console
+    cases: Sequence[Case],
+    integrators: Sequence[str],
+    sweep: Sweep,
+    advance: Advance = lambda doing, steps: None,
 ) -> dict[str, Any]:
-    """All figures, as they are written: by case, the points of each curve, its order, and who is ahead at equal time."""
-    sweep = QUICK if quick else FULL
+    """All figures, as they are written: by case, the points of each curve, its order, and who is ahead at equal time.
+
+    Needs 64-bit numbers on.
+    """
     missing = _missing()
-    with _progress(console) as progress:
-        task = progress.add_task("", total=len(cases) * (len(integrators) + len(_mujoco.INTEGRATORS)))
-        found = {}
-        for name in cases:
-
-            def told(integrator, name=name):
-                progress.update(task, description=f"{name}: {integrator}")
-
-            found[name] = _case(
-                CASES[name], integrators, sweep, missing, told, lambda: progress.advance(task)
-            )
     return {
         "device": str(jax.devices()[0]),
         "dtype": "float64",
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
         "mujoco": missing or _mujoco.need("mujoco", "bench").__version__,
-        "cases": found,
+        "cases": {case.name: _case(case, integrators, sweep, missing, advance) for case in cases},
     }
 
 
 def report(
-    cases: Sequence[str] | None, integrators: Sequence[str] | None, quick: bool, out: Path, file: Path | None
+    scene: Scene | None,
+    hip: Path | None,
+    fingers: int,
+    cases: Sequence[str],
+    integrators: Sequence[str],
+    quick: bool,
+    error: float,
+    rate: float,
+    out: Path | None,
+    file: Path | None,
 ) -> None:
-    """Measure, print the tables, and write CSV, pictures and the page to the folder `out`."""
+    """Measure, print the tables, and write JSON, and a folder of CSV, pictures and a page, where they are asked for.
+
+    No `cases` and no `integrators` stand for all. With a `scene` that alone is the case, its fingers along a recording's
+    `hip`, or moved by a virtual operator; it ends with the cheapest integrator and substeps within `error` (m) at `rate`.
+
+    **Raises:** `InputError` for names, numbers or a scene that cannot be.
+    """
     from . import _error_page as page
 
+    _check(scene, hip, fingers, cases, integrators, error, rate)
+    if out is not None:
+        need("matplotlib", "bench")
+        make_folder(out)
+    methods = [name for name in METHODS if name in (integrators or METHODS)]
+    with jax.enable_x64(True):
+        if scene is None:
+            chosen, sweep = (
+                [c for c in CASES.values() if c.name in (cases or CASES)],
+                QUICK if quick else FULL,
+            )
+        else:
+            scene = cast(scene, jnp.float64)
+            chosen, sweep = (
+                [own.scene_case(scene, *own.motion_of(scene, hip, fingers, rate), rate)],
+                own.sweep_at(rate),
+            )
+        with following(float(len(chosen) * (len(methods) + len(_mujoco.INTEGRATORS)))) as advance:
+            figures = measure(chosen, methods, sweep, advance)
+    if scene is not None:
+        of_scene = figures["cases"]["scene"]
+        found = own.choices(of_scene, rate)
+        figures["choices"] = [asdict(choice) for choice in found]
+        figures["advice"] = own.advice(found, error, rate, of_scene["floor"])
+    figures = _finite(figures)
     console = Console()
-    names, methods = chosen("cases", cases, list(CASES)), chosen("integrators", integrators, list(METHODS))
-    make_folder(out)
-    figures = measure(names, methods, quick, console)
     for table in page.tables(figures):
         console.print(table)
     for sentence in page.sentences(figures):
         console.print(sentence, markup=False, highlight=False)
-    write_points(figures, out / "error.csv")
-    written = page.write(figures, out)
     if file is not None:
         with replacing(file) as stream:
             json.dump(figures, stream, indent=2)
             stream.write("\n")
-    console.print(f"report: {written}", markup=False)
+    if out is not None:
+        write_points(figures, out / "error.csv")
+        console.print(f"report: {page.write(figures, out)}", markup=False)
+
+
+def _check(scene, hip, fingers: int, cases, integrators, error: float, rate: float) -> None:
+    check_names("cases", cases or list(CASES), list(CASES))
+    check_names("integrators", integrators or list(METHODS), list(METHODS))
+    if scene is None and hip is not None:
+        raise InputError(f"hip is {hip} without a scene; allowed: with --scene")
+    if scene is not None and cases:
+        raise InputError(f"cases is {' '.join(cases)} with a scene; allowed: without --scene")
+    if not 1 <= fingers <= 100:
+        raise InputError(f"fingers is {fingers}; allowed: 1 to 100")
+    if not 0 < error < np.inf:
+        raise InputError(f"error is {error:g} m; allowed: above 0")
+    if not 10 <= rate <= 1e5:
+        raise InputError(f"rate is {rate:g} Hz; allowed: 10 to 100000")
 
 
 def make_folder(out: Path) -> None:
@@ -90,6 +133,15 @@ def make_folder(out: Path) -> None:
         raise InputError(
             f"{out}: cannot be made ({error.strerror}); allowed: a folder for the results"
         ) from None
+
+
+def _finite(value: Any) -> Any:
+    """The figures with `None` for what is no number, as JSON has it."""
+    if isinstance(value, dict):
+        return {key: _finite(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def write_points(figures: dict[str, Any], path: Path) -> None:
@@ -117,20 +169,9 @@ def _missing() -> str | None:
     return None
 
 
-def _progress(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-    )
-
-
-def _case(case: Case, integrators, sweep: Sweep, missing: str | None, told, done) -> dict[str, Any]:
+def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: Advance) -> dict[str, Any]:
+    advance(f"{case.name}: truth", 0.0)
     if case.truth is None:
-        told("truth")
         truth, floor = _sweep.extrapolated(case, sweep)
     else:
         truth, floor = case.truth(), SOLVED if "DOP853" in case.known else ROUNDING
@@ -139,7 +180,7 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, told, done
     ours: dict[str, list[Point]] = {}
     theirs: dict[str, list[Point]] = {}
     for name in integrators:
-        told(name)
+        advance(f"{case.name}: {name}", 0.0)
         points, compile_s = _sweep.curve(case, name, truth, law, sweep)
         ours[name], order = points, case.order(name)
         curves[name] = {
@@ -149,11 +190,11 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, told, done
             "reason": order.reason,
             "points": [asdict(p) for p in points],
         }
-        done()
+        advance(case.name, 1.0)
     runs = isinstance(case.mujoco, Mujoco) and missing is None
     for name in _mujoco.INTEGRATORS:
         if runs:
-            told(f"MuJoCo {name}")
+            advance(f"{case.name}: MuJoCo {name}", 0.0)
             counts = _sweep.steps_of(case.seconds, sweep.mujoco_dts)
             points = _mujoco.curve(case, name, counts, law, sweep)
             theirs[name] = points
@@ -162,7 +203,7 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, told, done
                 "order": fitted_order(dts, errors, case.seconds, floor),
                 "points": [asdict(p) for p in points],
             }
-        done()
+        advance(case.name, 1.0)
     return {
         "title": case.title,
         "unit": case.unit,

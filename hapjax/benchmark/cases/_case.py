@@ -61,8 +61,8 @@ class Case:
     """One problem of the work-precision diagrams.
 
     - `name`, `title`, `unit` (of the error); `seconds`, the final time.
-    - `scene(integrator)`, and `start(state)`, which sets velocities; `hip(t)` (F, 3) m; `change(scene)`: the scene after
-      half time.
+    - `scene(integrator)`, and `start(state)`, which sets velocities; `hip(t)` (F, 3) m, `gimbal(t)` (F,) rad;
+      `change(scene)`: the scene after half time.
     - `measure(state)`: the numbers that are compared; an error is the Euclidean norm of a difference.
     - `truth()`: of the equations that hapjax solves, in closed form or from an independent program. `None`: extrapolated.
     - `law()`: of the rigid law that both programs approximate, where it is not the same. MuJoCo is compared by it.
@@ -84,6 +84,7 @@ class Case:
     mujoco: Mujoco | str
     start: Callable[[State], State] = lambda state: state
     hip: Callable[[Any], Any] = _far
+    gimbal: Callable[[Any], Any] | None = None
     change: Callable[[Scene], Scene] | None = None
     truth: Callable[[], np.ndarray] | None = None
     law: Callable[[], np.ndarray] | None = None

@@ -84,9 +84,8 @@ LOSS, LIGHT, SPRING = 1.0, 0.05, 500.0
 def rebound(loss: float, speed: float = 1.0) -> float:
     """The speed after: c v - ln(1 + c v) = -c u - ln(1 - c u) (Hunt and Crossley 1975)."""
     left = loss * speed - np.log1p(loss * speed)
-    return brentq(
-        lambda u: -loss * u - np.log1p(-loss * u) - left, 0, min(speed, (1 - 1e-15) / loss), xtol=1e-15
-    )
+    highest = min(speed, (1 - 1e-15) / loss)
+    return float(brentq(lambda u: -loss * u - np.log1p(-loss * u) - left, 0, highest, xtol=1e-15))  # pyright: ignore
 
 
 def rebound_per_loss(loss: float, speed: float = 1.0) -> float:

@@ -70,6 +70,12 @@ def _hips(spots: np.ndarray, depth):
     return lambda t: jnp.asarray(_fingers(spots, depth), t.dtype)
 
 
+def _mu(scene: Scene):
+    surface = scene.object["block"].surface
+    assert surface is not None
+    return surface.mu
+
+
 SLIP = Case(
     name="lift_slip",
     title="block slips through four fingers at 1.01 of sum mu N = m g",
@@ -83,7 +89,7 @@ SLIP = Case(
     known="closed form, a = g - sum mu N / m",
     gradient=Gradient(
         "object.block.surface.mu",
-        lambda scene: scene.object["block"].surface.mu,
+        _mu,
         lambda: np.array([G / 1.01 / MU * SECONDS**2 / 2]),
     ),
     mujoco=_gripped(1.01, SPEED),
@@ -123,6 +129,7 @@ def _loaded() -> np.ndarray:
 
 def _heavier(scene: Scene) -> Scene:
     gravity = scene.world.gravity
+    assert gravity is not None
     return dataclasses.replace(
         scene, world=dataclasses.replace(scene.world, gravity=jnp.asarray(HEAVIER, gravity.dtype) * gravity)
     )
