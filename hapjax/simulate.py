@@ -320,7 +320,7 @@ def _at_rest(scene: Scene, name: str) -> Motion:
 
 def _needs_hip(scene: Scene) -> bool:
     hurried = any(_surface(scene, name).needs_velocity() for name in scene.touchable())
-    return hurried or scene.integrator.substeps > 1
+    return hurried or scene.integrator.substeps > 1 or scene.integrator.looks_ahead
 
 
 def _as_hip(scene: Scene, hip: Any) -> Float[Array, "F 3"]:

@@ -41,7 +41,9 @@ class Implicit(SemiImplicit):
         every = jax.tree.leaves(links, is_leaf=_is_link)
         if not bodies.motion or not every:
             return links
-        touches = _Touches(every, [link.grip() for link in every], bodies, dt)
+        grips = [link.grip() for link in every]
+        held = [link.within(grip, dt) for link, grip in zip(every, grips, strict=True)]
+        touches = _Touches(held, grips, bodies, dt)
         free, unflatten = ravel_pytree(self._free(bodies, dt))
         now, _ = ravel_pytree(bodies.rates())
         each = jnp.eye(free.size, dtype=free.dtype)
