@@ -45,10 +45,11 @@ def measure(
         figures["walls"] = own.walls(scene, rate)
         if scene.moving():
             one = own.scaled_map(scene)
-            figures["maps"] = {"scene": one.thinned() if quick else one}
+            one = one.thinned() if quick else one
+            figures["maps"] = {"scene": one}
             dts = _scene_steps(scene, quick)
             figures["cells"] = plans.measure(figures["maps"], integrators, dts, advance)
-            figures["choices"] = own.recommend(scene, integrators, rate, fingers, advance)
+            figures["choices"] = own.recommend(scene, one, integrators, rate, fingers, advance)
         return figures
     built_in = [name for name in maps if name != LOOP]
     figures["maps"] = plans.chosen(built_in, quick) if built_in else {}

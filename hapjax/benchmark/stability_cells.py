@@ -1,7 +1,7 @@
 """One cell of a stability map: an object is let go above a floor, and is at rest 2 s later, or not."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import equinox as eqx
@@ -87,12 +87,13 @@ class Outcome(eqx.Module):
 class Cells:
     """Cells of one structure and one integrator, compiled once for each number of them.
 
-    **Arguments:** `build`, from the numbers of one cell to its scene and state; `dtype` of the numbers.
+    **Arguments:** `build`, from an integrator's name and the numbers of one cell to its scene and state; `dtype` of the
+    numbers.
     """
 
-    def __init__(self, build: Callable[[Numbers], Start], dtype: Any):
-        self._dtype = dtype
-        self._run = jax.jit(jax.vmap(partial(_live, build), in_axes=(0, None, None)))
+    def __init__(self, build: Callable[[str, Numbers], Start], method: str, dtype: str):
+        self._dtype = jnp.dtype(dtype)
+        self._run = jax.jit(jax.vmap(partial(_live, partial(build, method)), in_axes=(0, None, None)))
 
     def run(self, cells: Sequence[Numbers], dt: float) -> Outcome:
         """Simulate cells side by side for 2 s in steps of `dt` s. Each has the same names in its numbers."""
@@ -107,6 +108,10 @@ class Cells:
             for b, q in zip(broken, quiet_after, strict=True)
         ]
         return Outcome(verdict, quiet_after, peak.astype(float))
+
+
+# One program for all maps of a structure.
+programs = lru_cache(maxsize=32)(Cells)
 
 
 def _live(build: Callable[[Numbers], Start], numbers: Numbers, dt: Float[Array, ""], count: Array):

@@ -71,7 +71,7 @@ def measure(
         mass, damping, delay = (np.array(column) for column in zip(*grid, strict=True))
         low, high = np.full(len(grid), np.log(SOFTEST)), np.full(len(grid), np.log(STIFFEST))
         for _ in range(HALVINGS):
-            advance(f"closed loop at {rate:g} Hz", 0)
+            advance(f"closed loop at {rate:g} Hz", 0.0)
             middle = (low + high) / 2
             calm = np.asarray(_calm(np.exp(middle), mass, damping, delay, 1 / rate, round(SECONDS * rate)))
             low, high = np.where(calm, middle, low), np.where(calm, high, middle)

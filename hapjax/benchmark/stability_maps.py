@@ -2,17 +2,15 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..errors import InputError
 from ..integrate import METHODS
-from .stability_cells import BASE, SECONDS, SETTLED, Cells, Numbers, Start, dropped_cube, dropped_stack
+from .stability_cells import BASE, SECONDS, SETTLED, Numbers, Start, dropped_cube, dropped_stack, programs
 
 DTS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2)  # s
 QUICK_DTS = (1e-3, 5e-3, 2e-2)
@@ -39,7 +37,7 @@ class Map:
         return replace(self, values=self.values[::4])
 
 
-def _decades(low: float, high: float) -> tuple[float, ...]:
+def _decades(low: int, high: int) -> tuple[float, ...]:
     return tuple((10.0 ** np.linspace(low, high, 13)).tolist())
 
 
@@ -56,7 +54,7 @@ def _cube_map(parameter: str, label: str, unit: str, values: Sequence[float]) ->
     def limit(value: float) -> float:
         return explicit_limit(**{parameter: value})
 
-    return Map(parameter, label, unit, tuple(map(float, values)), limit=limit)
+    return Map(parameter, label, unit, tuple(values), limit=limit)
 
 
 MAPS = {
@@ -65,11 +63,16 @@ MAPS = {
     "mass_ratio": Map(
         "mass_ratio", "mass of the upper cube over that of the lower", "", _decades(0, 4), dropped_stack
     ),
-    "mu": _cube_map("mu", "friction", "", (0, 0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.5, 2, 3, 5, 7, 10)),
+    "mu": _cube_map("mu", "friction", "", [0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0]),
     "penetration": _cube_map(
-        "gap", "place of the lowest corner at the start", "m", -np.linspace(0, 0.02, 13)
+        "gap", "place of the lowest corner at the start", "m", (-np.linspace(0, 0.02, 13)).tolist()
     ),
-    "spin": _cube_map("spin", "spin", "rad/s", (0, 1, 2, 5, 10, 20, 50, 100, 200, 300, 500, 700, 1000)),
+    "spin": _cube_map(
+        "spin",
+        "spin",
+        "rad/s",
+        [0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 300.0, 500.0, 700.0, 1000.0],
+    ),
     "inertia": _cube_map(
         "inertia_ratio", "two larger moments of inertia over the smallest", "", _decades(0, 4)
     ),
@@ -111,10 +114,10 @@ def measure(
     check_names("integrators", integrators, METHODS)
     cells = []
     for (name, one), method, dtype in product(maps.items(), integrators, DTYPES):
-        program = Cells(partial(one.build, method), jnp.dtype(dtype))
+        program = programs(one.build, method, dtype)
         for dt in sorted(dts, reverse=True):  # what is wrong shows early
             doing = f"{name}, {method}, {dtype}, dt = {dt * 1e3:g} ms"
-            advance(doing, 0)
+            advance(doing, 0.0)
             found = program.run([BASE | {one.parameter: value} for value in one.values], dt)
             rows = zip(one.values, found.verdict, found.quiet_after, found.peak, strict=True)
             cells += [Cell(name, method, dtype, v, dt, s, float(q), float(p)) for v, s, q, p in rows]
@@ -143,7 +146,7 @@ def unsettled(
     found = []
     grid = [{"stiffness": k, "mass": m, "mu": mu} for k, m, mu in product(map(float, stiffness), masses, mus)]
     with jax.enable_x64(True):
-        program = Cells(partial(dropped_cube, method), jnp.dtype(dtype))
+        program = programs(dropped_cube, method, dtype)
         for dt in sorted(dts, reverse=True):
             outcome = program.run([BASE | cell for cell in grid], dt)
             rows = zip(grid, outcome.verdict, outcome.quiet_after, outcome.peak, strict=True)

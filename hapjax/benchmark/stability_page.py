@@ -44,15 +44,15 @@ LOOP = (
 
 
 def counts(cells: Sequence[Cell]) -> tuple[list[str], list[list[str]]]:
-    """Settled, ringing and blown-up cells of each map and precision: the header, and a row of each."""
-    methods = list(dict.fromkeys(c.integrator for c in cells))
-    kinds = list(dict.fromkeys((c.map, c.dtype) for c in cells))
-    tally = Counter((c.map, c.dtype, c.integrator, c.verdict) for c in cells)
+    """Settled, ringing and blown-up cells of each map and integrator: the header, and a row of each."""
+    dtypes = list(dict.fromkeys(c.dtype for c in cells))
+    kinds = list(dict.fromkeys((c.map, c.integrator) for c in cells))
+    tally = Counter((c.map, c.integrator, c.dtype, c.verdict) for c in cells)
 
-    def cell(kind, method):
-        return " / ".join(str(tally[(*kind, method, v)]) for v in (SETTLED, RINGING, BLOWN_UP))
+    def cell(kind, dtype):
+        return " / ".join(str(tally[(*kind, dtype, v)]) for v in (SETTLED, RINGING, BLOWN_UP))
 
-    return ["map", "numbers", *methods], [[*kind, *(cell(kind, m) for m in methods)] for kind in kinds]
+    return ["map", "integrator", *dtypes], [[*kind, *(cell(kind, d) for d in dtypes)] for kind in kinds]
 
 
 def loop_rows(limits: Sequence[Limit]) -> tuple[list[str], list[list[str]]]:

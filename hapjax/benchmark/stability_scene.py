@@ -15,7 +15,7 @@ from ..integrate import METHODS
 from ..scene import Scene, cast
 from ..simulate import init
 from ._timing import compiled, step_us
-from .stability_cells import AWAY, SECONDS, SETTLED, Cells, Numbers, Start
+from .stability_cells import AWAY, BASE, SECONDS, SETTLED, Numbers, Start, programs
 from .stability_loop import passive_stiffness
 from .stability_maps import DTYPES, Map, _decades
 
@@ -64,34 +64,37 @@ def scaled_map(scene: Scene) -> Map:
 
 def recommend(
     scene: Scene,
+    one: Map,
     integrators: Sequence[str],
     rate: float,
     fingers: int,
     advance: Callable[[str, float], Any] = lambda doing, steps: None,
 ) -> list[Choice]:
-    """Each integrator with each number of substeps at `rate` (Hz), the cheapest first; needs 64-bit numbers on.
+    """Each integrator with substeps at `rate` (Hz), up to as many as it takes; the cheapest first; needs 64-bit numbers on.
 
-    It settles where both in float64 and in float32 it does, with the scene's stiffness and with all softer ones tried.
-    N substeps cost N times a step without.
+    `one` is the scene's map. The scene settles where it does in float64 and in float32, with its own stiffness and with all
+    softer ones of the map. N substeps cost N times a step without.
     """
-    one, choices = scaled_map(scene), []
+    choices = []
     for method in integrators:
-        margins = {n: np.inf for n in SUBSTEPS}
-        for dtype in DTYPES:
-            program = Cells(partial(one.build, method), jnp.dtype(dtype))
-            for n in SUBSTEPS:
-                dt = 1 / (rate * n)
-                advance(f"{method}, {dtype}, {n} substeps", 0)
-                verdict = program.run([{one.parameter: value} for value in one.values], dt).verdict
-                margins[n] = min(margins[n], _margin(one.values, verdict))
-                advance(f"{method}, {dtype}, {n} substeps", SECONDS / dt)
         cost = _step_us(scene, method, fingers)
-        choices += [Choice(method, n, cost * n, margins[n]) for n in SUBSTEPS]
+        for n in SUBSTEPS:
+            margin = np.inf
+            for dtype in DTYPES:
+                advance(f"{method}, {dtype}, {n} substeps", 0.0)
+                found = programs(one.build, method, dtype).run(
+                    [BASE | {one.parameter: value} for value in one.values], 1 / (rate * n)
+                )
+                margin = min(margin, _margin(one.values, found.verdict))
+                advance(f"{method}, {dtype}, {n} substeps", SECONDS * rate * n)
+            choices.append(Choice(method, n, cost * n, margin))
+            if margin >= 1:
+                break
     return sorted(choices, key=lambda choice: choice.step_us)
 
 
 def recommend_work(integrators: Sequence[str], rate: float) -> float:
-    """The sum of the steps that `recommend` tells `advance` of."""
+    """The most steps that `recommend` tells `advance` of."""
     return len(integrators) * len(DTYPES) * SECONDS * rate * sum(SUBSTEPS)
 
 

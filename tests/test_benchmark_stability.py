@@ -1,0 +1,214 @@
+"""Stability maps and the closed loop against formulas: explicit limits, discrete-time eigenvalues, Colgate's bound."""
+
+import csv
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hapjax
+from hapjax import Body, Box, Contact, InputError, Object, Plane, Scene, Sphere, World
+from hapjax.benchmark import stability_loop as loop
+from hapjax.benchmark import stability_scene as own
+from hapjax.benchmark.stability_cells import BASE, BLOWN_UP, RINGING, SETTLED, programs
+from hapjax.benchmark.stability_maps import MAPS, explicit_limit, unsettled
+from hapjax.cli import main
+
+SCENE = """
+[object.cube]
+shape = "box"
+size = [0.04, 0.04, 0.04]
+position = [0.0, 0.0, 0.02]
+[object.cube.body]
+mass = 0.05
+[object.floor]
+shape = "plane"
+[contact.on_floor]
+between = ["cube", "floor"]
+stiffness = 1e5
+mu = 0.5
+damping = 1.0
+[world]
+gravity = [0.0, 0.0, -9.81]
+"""
+PLATE = """
+[object.plate]
+shape = "plane"
+[object.plate.surface]
+mu = 0.5
+stiffness = 800.0
+"""
+
+
+# Cells ------------------------------------------------------------------------------------------------------
+
+
+def test_an_explicit_integrator_settles_up_to_2_over_w():
+    """Four springs k at half an edge from the axis turn a uniform cube of m edge^2 / 6: w^2 = 6 k / m."""
+    dt = 1e-3
+    for mass in (0.05, 0.5):
+        assert explicit_limit(stiffness=4 * mass / (6 * dt**2), mass=mass) == pytest.approx(dt)
+    grid = [
+        BASE | {"mass": m, "stiffness": 4 * m / 6 * (x / dt) ** 2} for m in (0.05, 0.5) for x in (0.6, 1.1)
+    ]
+    found = programs(MAPS["stiffness"].build, "semi_implicit", "float64").run(grid, dt)
+    assert found.verdict[::2] == [SETTLED] * 2 and SETTLED not in found.verdict[1::2]
+
+
+def test_the_check_returns_the_cells_that_do_not_settle():
+    bad = unsettled("semi_implicit", stiffness=(1e3, 1e7), dts=(1e-3,), masses=(0.05,), mus=(0.0, 0.5))
+    assert [(c["stiffness"], c["mu"], c["verdict"]) for c in bad] == [
+        (1e7, mu, BLOWN_UP) for mu in (0.0, 0.5)
+    ]
+
+
+def test_a_ball_that_loses_nothing_bounces_on():
+    def ball(method, numbers):
+        thing = Object(Sphere(0.02), body=Body(0.05), position=(0.0, 0.0, 0.04))
+        floor = Contact(1e4, mu=0.5, between=("ball", "floor"))
+        world = World(gravity=(0.0, 0.0, -9.81))
+        scene = Scene({"ball": thing, "floor": Object(Plane())}, {"floor": floor}, world=world)
+        return scene, hapjax.init(scene, jnp.full((1, 3), 10.0))
+
+    found = programs(ball, "semi_implicit", "float64").run([BASE], 2e-4)
+    assert found.verdict == [RINGING] and found.quiet_after[0] > 1.9
+    assert (
+        found.peak[0] < 0.05
+    )  # never more energy than at the start, but for the swing of semi-implicit Euler
+
+
+# The closed loop --------------------------------------------------------------------------------------------
+
+
+def eigenvalue_limit(mass, damping, period, delay):
+    """The stiffness at which the sampled loop, a linear map of place, speed and the last places, reaches radius 1."""
+
+    def radius(stiffness):
+        decay = np.exp(-damping * period / mass)
+        step = np.eye(2 + delay, k=-1)
+        step[:2] = 0
+        if delay:
+            step[2] = 0
+            step[2, 0] = 1
+        step[0, :2] = 1, mass / damping * (1 - decay)
+        step[1, 1] = decay
+        push = [period / damping - mass / damping**2 * (1 - decay), (1 - decay) / damping]
+        step[:2, 0 if delay == 0 else 1 + delay] -= stiffness * np.array(push)
+        return np.max(np.abs(np.linalg.eigvals(step)))
+
+    low, high = 1.0, 1e7
+    for _ in range(60):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if radius(middle) < 1 else (low, middle)
+    return low
+
+
+def test_the_stiffest_wall_is_that_of_the_eigenvalues():
+    found = loop.measure(rates=(500.0,), masses=(0.05,), dampings=(0.5, 5.0), delays=(0, 2))
+    for limit in found:
+        truth = eigenvalue_limit(limit.mass, limit.damping, 1 / limit.rate, limit.delay)
+        assert limit.stable == pytest.approx(truth, rel=2e-3)
+        assert limit.stable >= limit.passive * (1 - 1e-3)  # a passive wall is stable with any device
+    assert found[-1].stable > 1.05 * found[-1].passive
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_the_passive_stiffness_is_colgates_bound(delay):
+    """b > T/2 Re[(1 - e^-jwT) H] / (1 - cos wT) at all w, on a grid of frequencies."""
+    period, damping = 1e-3, 2.0
+    stiffness = loop.passive_stiffness(damping, 1 / period, delay)
+    angle = np.linspace(1e-4, np.pi, 20_000)
+    wall = stiffness * np.exp(-1j * angle * delay)
+    needed = period / 2 * np.real((1 - np.exp(-1j * angle)) * wall) / (1 - np.cos(angle))
+    assert np.max(needed) == pytest.approx(damping, rel=1e-6)
+
+
+# A user's own scene -----------------------------------------------------------------------------------------
+
+
+def test_what_a_device_needs_for_the_scenes_surfaces(tmp_path):
+    (tmp_path / "plate.toml").write_text(PLATE)
+    (wall,) = own.walls(hapjax.load_scene(tmp_path / "plate.toml"), 1000.0)
+    assert wall == pytest.approx(("object.plate.surface", 800.0, 0.4, 1.2))
+
+
+def scene_of(**changes):
+    parts = {
+        "object": {"cube": Object(Box((0.04,) * 3), body=Body(0.05)), "floor": Object(Plane())},
+        "contact": {"on_floor": Contact(1e4, mu=0.5, between=("cube", "floor"))},
+        "world": World(gravity=(0.0, 0.0, -9.81)),
+    }
+    return Scene(**parts | changes)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"world": World()}, "world.gravity is none"),
+        ({"contact": {}}, "object.cube has a body and no contact"),
+    ],
+)
+def test_scenes_that_cannot_come_to_rest_are_refused(change, said):
+    with pytest.raises(InputError, match=said):
+        own.scaled_map(scene_of(**change))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--maps", "stifness"], "maps has 'stifness'"),
+        (["--integrators", "euler"], "integrators has 'euler'"),
+        (["--rate", "1"], "rate is 1 Hz"),
+        (["--fingers", "0"], "fingers is 0"),
+        (["--out", "{file}"], "cannot be made a folder"),
+    ],
+)
+def test_bad_input_is_refused_in_a_sentence(arguments, said, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    arguments = [a.format(file=tmp_path / "file") for a in arguments]
+    assert main(["benchmark", "stability", *arguments]) == 2
+    assert said in capsys.readouterr().err
+
+
+def table(path):
+    """The rows of a CSV file, by the names of its columns."""
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
+@pytest.mark.slow
+def test_a_quick_run_leaves_everything(tmp_path, capsys):
+    arguments = ["--quick", "--maps", "stiffness", "loop", "--integrators", "semi_implicit"]
+    out, figures = tmp_path / "report", tmp_path / "figures.json"
+    assert main(["benchmark", "stability", *arguments, "--out", str(out), "--json", str(figures)]) == 0
+    assert "semi_implicit" in capsys.readouterr().out
+    rows = table(out / "stability.csv")
+    assert len(rows) == 2 * 3 * 4  # precisions, time steps, values
+    soft = [r for r in rows if (r["value"], r["dt"]) == ("100.0", "0.001")]
+    assert [r["verdict"] for r in soft] == [SETTLED] * 2
+    assert len(json.loads(figures.read_text())["loop"]) == len(
+        list(csv.DictReader((out / "loop.csv").open()))
+    )
+    page = (out / "stability.html").read_text()
+    assert page.count("data:image/png;base64,") == 2 and "http" not in page
+    assert all(png.stat().st_size < 100_000 for png in out.glob("*.png"))
+
+
+@pytest.mark.slow
+def test_the_recommendation_is_the_substeps_that_the_explicit_limit_asks_for(tmp_path, capsys):
+    """A cube of 50 g on 100 kN/m a corner: 2 / w is 0.58 ms, so 1 kHz takes 2 substeps at least, and 8 are too many."""
+    (tmp_path / "cube.toml").write_text(SCENE)
+    figures = tmp_path / "figures.json"
+    arguments = ["--scene", str(tmp_path / "cube.toml"), "--quick", "--integrators", "semi_implicit"]
+    assert main(["benchmark", "stability", *arguments, "--json", str(figures)]) == 0
+    choices = json.loads(figures.read_text())["choices"]
+    assert choices[0]["substeps"] == 1 and choices[0]["margin"] < 1
+    best = next(c for c in choices if c["margin"] >= 1)
+    assert best["substeps"] in (2, 4)
+    assert f"substeps = {best['substeps']}" in " ".join(capsys.readouterr().out.split())
+
+
+def test_surfaces_alone_need_no_simulation(tmp_path, capsys):
+    (tmp_path / "plate.toml").write_text(PLATE)
+    assert main(["benchmark", "stability", "--scene", str(tmp_path / "plate.toml")]) == 0
+    assert "object.plate.surface" in capsys.readouterr().out
