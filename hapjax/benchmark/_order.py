@@ -1,6 +1,6 @@
 """What errors over dt and over run time say: the order of convergence, and who is ahead at equal run time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ ROUNDING = 10 * np.finfo(float).eps  # of a step, in units of what is compared
 
 
 def fitted_order(
-    dts: Sequence[float], errors: Sequence[float | None], seconds: float, floor: float
+    dts: Iterable[float], errors: Iterable[float | None], seconds: float, floor: float
 ) -> float | None:
     """The slope of log error over log dt in the finest 1.5 decades in which errors stand above noise.
 

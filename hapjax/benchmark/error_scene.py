@@ -20,7 +20,10 @@ from ._sweep import Sweep
 from .cases import Case, Order
 
 SUBSTEPS = (1, 2, 4, 8, 16, 32, 64)
-SECONDS, RAY = 1.0, 4000  # s of the operator's motion; points at which a finger looks for the surface
+SECONDS, RAY = (
+    1.0,
+    2000,
+)  # s of the operator's motion; points of a ray at which a finger looks for the surface
 LIFT, GAP = 0.01, 0.005  # m
 
 _NONSMOOTH = Order(1, "touches that begin or slip are of first order, where forces are smooth it is 2")
@@ -182,15 +185,21 @@ def _gyration(scene: Scene, name: str, body: Body):
 def _spot(scene: Scene, name: str, side: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Where a ray from `side` towards the object's origin, moved by `across` (m), meets its surface; m, world frame."""
     thing = scene.object[name]
-    matrix = rotation.to_matrix(rotation.normalise(thing.orientation))
-    ray = np.asarray(thing.position) + across + np.linspace(1.0, 0.0, RAY)[:, None] ** 2 * side
-    local = rotation.turn_back(matrix, jnp.asarray(ray - np.asarray(thing.position), matrix.dtype))
-    inside = np.asarray(jax.vmap(lambda p: thing.shape.closest(p).depth)(local)) > 0
-    if not inside.any():
-        raise InputError(
-            f"fingers do not find object.{name}; allowed with --hip: a recording of their motion"
-        )
-    return ray[np.argmax(inside)]
+    matrix, place = rotation.to_matrix(rotation.normalise(thing.orientation)), np.asarray(thing.position)
+
+    def first_inside(from_: float, to: float) -> tuple[float, float]:
+        """Between which two of RAY points of the ray (m from the origin) the surface lies."""
+        ways = np.linspace(from_, to, RAY)
+        local = rotation.turn_back(matrix, jnp.asarray(across + ways[:, None] * side, matrix.dtype))
+        inside = np.asarray(jax.vmap(lambda p: thing.shape.closest(p).depth)(local)) > 0
+        if not inside.any():
+            raise InputError(
+                f"fingers do not find object.{name}; allowed with --hip: a recording of their motion"
+            )
+        first = max(int(np.argmax(inside)), 1)
+        return float(ways[first - 1]), float(ways[first])
+
+    return place + across + first_inside(*first_inside(1.0, 0.0))[1] * side
 
 
 def _width(scene: Scene, name: str) -> float:

@@ -23,7 +23,7 @@ ORDERS = {"semi_implicit": 1, "semi_implicit_matrix": 1, "pivot": 1, "lie_midpoi
 class Order:
     """The order of convergence that theory gives, and why; `value` `None`: no order can be seen."""
 
-    value: float | None
+    value: int | None
     reason: str = ""
 
 

@@ -1,0 +1,363 @@
+"""The work-precision diagrams: truths against independent programs, orders, who is ahead, the command."""
+
+import csv
+import json
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_ivp
+from scipy.spatial.transform import Rotation
+
+import hapjax
+from hapjax import cli
+from hapjax.benchmark import _mujoco, _order, _sweep, error, error_scene
+from hapjax.benchmark._sweep import Point, Program
+from hapjax.benchmark.cases import CASES, _springs, ball, disc, rod, sliding, top
+from hapjax.integrate import METHODS
+
+KNOWN: dict[str, Any] = dict(CASES)
+
+# Truths ---------------------------------------------------------------------------------------------------
+
+
+def free_matrix(inertia, spin, seconds):
+    """A free body's matrix by Runge and Kutta's method on the body's own spin."""
+
+    def rate(_, y):
+        q, w = y[:4], y[4:]
+        turning = 0.5 * np.array([-w @ q[1:], *(q[0] * w + np.cross(q[1:], w))])
+        return np.concatenate([turning, -np.cross(w, inertia * w) / inertia])
+
+    y = solve_ivp(rate, (0, seconds), [1, 0, 0, 0, *spin], "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    return Rotation.from_quat(y[:4], scalar_first=True).as_matrix()
+
+
+@pytest.mark.parametrize("spin", [(0.5, 6.0, 0.3), (-1.0, 6.0, 3.0)])
+def test_the_free_top_is_what_another_program_finds(spin):
+    spin = np.array(spin)
+    expected = free_matrix(top.INERTIA, spin, 2.0)
+    np.testing.assert_allclose(top.free_truth(spin=spin), expected, atol=1e-9)
+
+
+def held(**changes):
+    parts: dict[str, Any] = dict(
+        mass=0.2,
+        inertia=top.INERTIA,
+        anchors=np.zeros((1, 3)),
+        stiffness=50.0,
+        fingers=lambda t: np.array([[0.0, 0.0, 0.1]]),
+        gravity=np.array([0.0, 0.0, -2.0]),
+    )
+    return _springs.Held(**(parts | changes))
+
+
+START = _springs.Place(np.zeros(3), np.eye(3), np.zeros(3), top.SPIN)
+
+
+def test_a_body_on_a_spring_at_its_centre_swings_and_spins_as_known():
+    place = _springs.solve(held(), START, 1.0)
+    middle, omega = 0.1 - 2.0 * 0.2 / 50.0, np.sqrt(50.0 / 0.2)
+    np.testing.assert_allclose(place.position, [0, 0, middle * (1 - np.cos(omega))], atol=1e-10)
+    np.testing.assert_allclose(place.matrix, top.free_truth(seconds=1.0), atol=1e-9)
+
+
+def test_a_body_on_springs_off_its_centre_keeps_its_energy():
+    """And with a share of the torque and a loss about the axis, what a body on an axis does."""
+    anchors = np.array([[0.02, 0.01, 0.0], [0.02, -0.01, 0.0]])
+    body = held(anchors=anchors, fingers=lambda t: anchors * [1, 0.5, 1])
+
+    def energy(place):
+        turning = place.matrix.T @ place.spin
+        stretch = body.fingers(0.0) - place.position - anchors @ place.matrix.T
+        kinetic = body.mass * place.velocity @ place.velocity + turning @ (body.inertia * turning)
+        height = -body.mass * body.gravity @ place.position
+        return kinetic / 2 + body.stiffness * np.sum(stretch**2) / 2 + height
+
+    assert energy(_springs.solve(body, START, 0.5)) == pytest.approx(energy(START), rel=1e-10)
+    axis = np.array([0.0, 0.0, 1.0])
+    alone = held(axis=axis, share=0.0, loss=1e-3, anchors=anchors, inertia=np.full(3, 1e-4))
+    still = alone._replace(fingers=lambda t: anchors + [0, 0, 0.1])
+    spun = _springs.solve(still, START._replace(spin=3 * axis), 0.02)
+    assert spun.spin[2] == pytest.approx(3 * np.exp(-1e-3 / 1e-4 * 0.02), rel=1e-3)
+
+
+def test_a_rebound_is_what_the_equation_of_motion_gives():
+    def rate(_, y):
+        return [y[1], (500.0 * -y[0] * (1 - 1.3 * y[1]) if y[0] < 0 else 0.0) / 0.05]
+
+    left = solve_ivp(rate, (0, 0.06), [0, -1], "DOP853", rtol=1e-11, atol=1e-13, max_step=1e-4).y[1, -1]
+    assert ball.rebound(1.3) == pytest.approx(left, abs=1e-7)
+    slope = (ball.rebound(1.3 + 1e-5) - ball.rebound(1.3 - 1e-5)) / 2e-5
+    assert ball.rebound_per_loss(1.3) == pytest.approx(slope, rel=1e-6)
+
+
+def test_the_time_of_bounces_is_what_the_equation_of_motion_gives(monkeypatch):
+    def rate(_, y):
+        return [y[1], -9.81 + max(-y[0], 0) * ball.SPRING / ball.LIGHT]
+
+    start = [ball.DROP, 0]
+    ended = solve_ivp(rate, (0, ball.AIR), start, "DOP853", rtol=1e-11, atol=1e-13, max_step=1e-4)
+    assert ball.bounced()[0] == pytest.approx(ended.y[0, -1], abs=1e-7)
+    slope, values = ball.bounced_per_stiffness()[0], []
+    for stiffness in (499.0, 501.0):
+        monkeypatch.setattr(ball, "SPRING", stiffness)
+        values.append(ball.bounced()[0])
+    assert slope == pytest.approx((values[1] - values[0]) / 2, rel=1e-5)
+
+
+def drag(speed, mass, stiffness, seconds, rolls=False):
+    """Where a block or ball comes to, whose friction is a spring that yields at mu m g, with the cases' damping."""
+    load = mass * 9.81
+    limit, loss = 0.5 * load, 20.0 * load
+
+    def rate(_, y):
+        slip = y[1] - y[3]
+        pull = stiffness * y[2] - loss * slip
+        force = np.clip(pull, -limit, limit)
+        yielding = stiffness * abs(y[2]) >= limit and slip * y[2] < 0
+        return [y[1], force / mass, 0.0 if yielding else -slip, -2.5 * force / mass if rolls else 0.0]
+
+    return solve_ivp(rate, (0, seconds), [0, speed, 0, 0], "LSODA", rtol=1e-9, atol=1e-12, max_step=2e-4).y[
+        0, -1
+    ]
+
+
+def test_a_slide_and_a_roll_end_where_the_equation_of_motion_says():
+    slide, roll = KNOWN["slide"], KNOWN["roll"]
+    assert slide.truth()[0] == pytest.approx(drag(1.0, sliding.MASS, 4 * sliding.STIFF, 0.5), abs=2e-8)
+    assert roll.truth()[0] == pytest.approx(drag(1.0, ball.MASS, ball.STIFF, 0.3, rolls=True), abs=5e-8)
+    # The rigid law is the limit of stiff springs.
+    assert (
+        slide.law()[0] == pytest.approx(1 / (2 * 0.5 * 9.81))
+        and abs(slide.law()[0] - slide.truth()[0]) < 1e-6
+    )
+
+
+def test_a_disc_without_spin_slides_as_a_block(monkeypatch):
+    monkeypatch.setattr(disc, "SPIN", 0.0)
+    monkeypatch.setattr(disc, "SECONDS", 0.01)
+    expected = 0.4 * 0.01 - 2 * disc.MU * disc.NORMAL / disc.MASS * 0.01**2 / 2
+    np.testing.assert_allclose(disc.slid(None), [expected, 0, 0], atol=1e-9)
+    assert disc.slid()[0] == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_pendulum_falls_in_the_time_that_its_energy_gives(monkeypatch):
+    monkeypatch.setattr(rod, "LOSS", 0.0)
+    monkeypatch.setattr(rod, "TIME", 0.2)
+    x, _, z = rod.pendulum(0.5)
+    reach, inertia = -rod.GRASP, rod.INERTIA[1] + 0.5 * rod.MASS * rod.GRASP**2
+    angle = np.arctan2(-z, x - rod.GRASP)
+    # sqrt(sin) is singular at the start: with s = u^2 it is not.
+    pace = 2 * 0.5 * rod.MASS * 9.81 * reach / inertia
+    spent = quad(lambda u: 2 * u / np.sqrt(pace * np.sin(u**2)), 0, np.sqrt(angle), epsabs=1e-12)[0]
+    assert 0 < angle < np.pi / 2 and spent == pytest.approx(rod.TIME, rel=1e-7)
+
+
+@pytest.mark.parametrize("case", [c for c in CASES.values() if c.gradient is not None], ids=lambda c: c.name)
+def test_a_gradient_has_the_size_of_what_is_compared(case):
+    scene = case.scene(METHODS["semi_implicit"]())
+    assert (
+        np.shape(case.gradient.truth()) == np.shape(case.truth()) and case.gradient.where(scene).shape == ()
+    )
+
+
+# The programs ---------------------------------------------------------------------------------------------
+
+
+def test_a_program_runs_for_any_step_and_has_the_theorys_order():
+    case = KNOWN["top"]
+    program, truth = Program(case, "semi_implicit"), case.truth()
+    errors = [_sweep.difference(program.run(steps)[0], truth) for steps in (1000, 2000)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(case.order("semi_implicit").value, abs=0.05)
+
+
+def test_a_program_is_pressed_on_by_the_law_as_stiff_as_dt_allows():
+    case = KNOWN["slide"]
+    stiff = case.rigid(case.scene(METHODS["semi_implicit"]()), 1e-3)
+    assert float(stiff.contact["block_on_floor"].stiffness) == pytest.approx(sliding.MASS / 4 / 1e-6)
+    program = Program(case, "semi_implicit")
+    own, law = program.run(500)[0], program.run(500, rigid=True)[1]
+    assert _sweep.difference(own, case.truth()) > 0.01  # too stiff for 1 ms
+    assert _sweep.difference(law, case.law()) < 1e-3
+
+
+def test_a_gradient_goes_to_the_truths():
+    case = KNOWN["incline_slide"]
+    slope = Program(case, "semi_implicit").compile_gradient()
+    expected = case.gradient.truth()
+    errors = [_sweep.difference(slope(steps), expected) for steps in (250, 500)]
+    assert errors[1] < 5e-3 * np.linalg.norm(expected) and errors[0] / errors[1] == pytest.approx(2, rel=0.05)
+
+
+@pytest.mark.parametrize("name, steps, within", [("load_step", 400, 1e-6), ("bounces", 2000, 1e-4)])
+def test_mujocos_model_has_the_same_truth(name, steps, within):
+    pytest.importorskip("mujoco")
+    case = CASES[name]
+    value, _ = _mujoco.Model(case, case.mujoco, "RK4").run(steps, 1)
+    assert _sweep.difference(value, case.truth()) < within
+
+
+def test_mujoco_blowing_up_is_told_and_leaves_no_file(tmp_path, monkeypatch, capfd):
+    pytest.importorskip("mujoco")
+    monkeypatch.chdir(tmp_path)
+    case = KNOWN["rod"]
+    value, _ = _mujoco.Model(case, case.mujoco, "Euler").run(100, 1)
+    assert (
+        np.isnan(value).all()
+        and not list(tmp_path.iterdir())
+        and "WARNING" not in "".join(capfd.readouterr())
+    )
+
+
+# Orders and comparisons ------------------------------------------------------------------------------------
+
+
+def test_an_order_is_fitted_to_the_finest_steps_above_the_noise():
+    dts = np.logspace(-2, -5, 13)
+    noisy = np.maximum(3 * dts**2, 1e-9)  # the truth is known to 1e-9
+    assert _order.fitted_order(dts, noisy, 1.0, 1e-9) == pytest.approx(2, abs=1e-6)
+    coarse = dts + 100 * dts**2  # of another order where dt is coarse
+    assert _order.fitted_order(dts, coarse, 1.0, 0.0) == pytest.approx(1, abs=0.03)
+    assert _order.fitted_order(dts, np.full(13, 1e-12), 1.0, 1e-12) is None
+    assert _order.fitted_order(dts[:3], [1.0, np.inf, None], 1.0, 0.0) is None
+    # A step's rounding counts: 1e5 of them to 2e-10, and thrice that.
+    assert _order.fitted_order([1e-5] * 3, [6e-10] * 3, 1.0, 0.0) is None
+
+
+def points(*pairs):
+    return [Point(dt=1e-3, run=run, error=None, law_error=e) for run, e in pairs]
+
+
+def test_who_is_ahead_at_equal_run_time():
+    ours = {"a": points((1e-3, 1e-3), (1e-1, 1e-5)), "b": points((1e-2, 1e-6), (1.0, np.inf))}
+    theirs = {"Euler": points((3e-3, 1e-4), (0.3, 1e-7))}
+    rows = error.equal_time(ours, theirs, 1e-12)
+    assert rows[0]["run"] == pytest.approx(3e-3) and rows[0]["factor"] == pytest.approx(10)
+    assert rows[-1]["run"] == pytest.approx(0.3) and rows[-1]["hapjax"]["integrator"] == "b"
+    assert rows[-2]["factor"] == pytest.approx(1e-2)
+    assert error.equal_time({}, theirs, 1e-12) == []
+
+
+def test_the_recommendation_is_the_cheapest_within_the_error():
+    choices = [
+        error_scene.Choice("semi_implicit", 1, np.inf, 1.0),
+        error_scene.Choice("lie_midpoint", 1, 3e-5, 2.0),
+        error_scene.Choice("semi_implicit", 8, 1e-6, 8.0),
+    ]
+    said = error_scene.advice(choices, 1e-4, 1000.0, 1e-9)
+    assert said.startswith("Cheapest within 0.0001 m at 1000 Hz: lie_midpoint with substeps = 1, 3.0e-05 m")
+    assert "semi_implicit with substeps = 8" in error_scene.advice(choices, 1e-5, 1000.0, 1e-9)
+    said = error_scene.advice(choices, 1e-8, 1000.0, 1e-7)
+    assert said.startswith("None stays within 1e-08 m") and "known to 1e-07 m" in said
+
+
+def cube(**changes):
+    thing = hapjax.Object(
+        hapjax.Box((0.06, 0.06, 0.06)),
+        hapjax.Surface(800.0, mu=0.6, damping=1.0),
+        hapjax.Body(0.2),
+        (0.1, 0, 0.03),
+    )
+    parts: dict[str, Any] = dict(object={"cube": thing}, world=hapjax.World(gravity=(0, 0, -9.81)))
+    return hapjax.Scene(**(parts | changes))
+
+
+def test_the_virtual_operator_grips_what_it_lifts():
+    scene = cube()
+    hips = error_scene.operator(scene, 3, 1000.0)
+    assert hips.shape == (1001, 3, 3)
+    outside = np.abs(hips[0, :, 0] - 0.1) > 0.03
+    depth = 0.03 - np.abs(hips[500, :, 0] - 0.1)
+    assert outside.all()
+    assert depth[0] + depth[2] == pytest.approx(depth[1], rel=1e-3)  # two on the one side, one on the other
+    assert 0.6 * 800.0 * depth.sum() == pytest.approx(1.5 * 0.2 * 9.81, rel=1e-3)
+    assert np.ptp(hips[:, 0, 2]) == pytest.approx(0.01)
+    above = error_scene.operator(scene, 1, 1000.0)
+    assert above[0, 0, 2] > 0.06 > above[-1, 0, 2]
+    with pytest.raises(hapjax.InputError, match="no object with a body has a surface"):
+        error_scene.operator(cube(object={"floor": hapjax.Object(hapjax.Plane())}), 3, 1000.0)
+
+
+def test_a_case_of_a_scene_goes_along_its_fingers_path():
+    hips = np.linspace(0, 1, 12).reshape(4, 1, 3)
+    case = error_scene.scene_case(cube(), hips, None, 10.0)
+    assert case.seconds == pytest.approx(0.2)  # an even number of steps
+    np.testing.assert_allclose(case.hip(jnp.asarray(0.15)), (hips[1] + hips[2]) / 2)
+    with pytest.raises(hapjax.InputError, match="nothing moves"):
+        error_scene.scene_case(cube(object={"floor": hapjax.Object(hapjax.Plane())}), hips, None, 10.0)
+
+
+# The command -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (["--cases", "pool"], "cases has 'pool'; allowed: top, heavy_top"),
+        (["--integrators", "euler"], "integrators has 'euler'; allowed: semi_implicit"),
+        (["--error", "0"], "error is 0 m; allowed: above 0"),
+        (["--error", "nan"], "error is nan m; allowed: above 0"),
+        (["--rate", "1"], "rate is 1 Hz; allowed: 10 to 100000"),
+        (["--fingers", "0"], "fingers is 0; allowed: 1 to 100"),
+        (["--hip", "lift.npz"], "hip is lift.npz without a scene; allowed: with --scene"),
+        (["--out", "{file}/folder"], "cannot be made (Not a directory); allowed: a folder"),
+        (["--scene", "{scene}", "--cases", "top"], "cases is top with a scene; allowed: without --scene"),
+        (["--scene", "{scene}"], "no object with a body has a surface for fingers"),
+    ],
+)
+def test_bad_input_is_refused_in_one_sentence(arguments, said, tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "scene.toml").write_text('[object.floor]\nshape = "plane"\n')
+    places = {"file": tmp_path / "file", "scene": tmp_path / "scene.toml"}
+    assert cli.main(["benchmark", "error", *(a.format(**places) for a in arguments)]) == 2
+    out, err = capsys.readouterr()
+    assert said in err and err.count("\n") == 1 and not out
+
+
+@pytest.mark.slow
+def test_a_report_is_whole(tmp_path, capsys):
+    pytest.importorskip("mujoco")
+    arguments = [
+        "--cases",
+        "top",
+        "incline_hold",
+        "restitution",
+        "--integrators",
+        "semi_implicit",
+        "lie_midpoint",
+    ]
+    out, file = tmp_path / "made" / "error", tmp_path / "error.json"
+    code = cli.main(["benchmark", "error", *arguments, "--quick", "--out", str(out), "--json", str(file)])
+    printed = capsys.readouterr().out
+    assert code == 0 and "Orders of convergence" in printed
+    assert "MuJoCo does not run restitution: its contacts have no loss" in printed
+    figures = json.loads(file.read_text())
+    curves = figures["cases"]["top"]["curves"]
+    for name in ("semi_implicit", "lie_midpoint"):
+        assert curves[name]["order"] == pytest.approx(curves[name]["theory"], abs=0.2)
+    assert (
+        curves["MuJoCo RK4"]["points"] and figures["cases"]["incline_hold"]["equal_time"][0]["factor"] < 1e-3
+    )
+    with open(out / "error.csv") as stream:
+        rows = list(csv.DictReader(stream))
+    assert {row["case"] for row in rows} == {"top", "incline_hold", "restitution"}
+    assert len(rows) == sum(len(c["points"]) for d in figures["cases"].values() for c in d["curves"].values())
+    page = (out / "error.html").read_text()
+    assert page.count("data:image/png;base64,") == 3 and "http" not in page
+    assert sorted(p.name for p in out.iterdir()) == [
+        *("error.csv", "error.html", "incline_hold.png", "restitution.png", "top.png")
+    ]
+
+
+@pytest.mark.slow
+def test_a_users_scene_ends_with_a_recommendation(tmp_path, capsys):
+    hapjax.save_scene(cube(), tmp_path / "cube.toml")
+    hips = error_scene.operator(cube(), 2, 1000.0)[:400]
+    hapjax.Recording(hip=hips, hip_t=np.arange(400) / 1000).save(tmp_path / "lift.npz")
+    options = ["--integrators", "semi_implicit", "--rate", "500", "--error", "1e-3"]
+    scene = ["--scene", str(tmp_path / "cube.toml"), "--hip", str(tmp_path / "lift.npz")]
+    assert cli.main(["benchmark", "error", *scene, *options]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "Cheapest within 0.001 m at 500 Hz: semi_implicit with substeps = 1" in printed
