@@ -194,7 +194,7 @@ def test_a_gradient_goes_to_the_truths():
 @pytest.mark.parametrize("name, steps, within", [("load_step", 400, 1e-6), ("bounces", 2000, 1e-4)])
 def test_mujocos_model_has_the_same_truth(name, steps, within):
     pytest.importorskip("mujoco")
-    case = CASES[name]
+    case = KNOWN[name]
     value, _ = _mujoco.Model(case, case.mujoco, "RK4").run(steps, 1)
     assert _sweep.difference(value, case.truth()) < within
 
