@@ -186,9 +186,7 @@ def test_a_quick_run_leaves_everything(tmp_path, capsys):
     assert len(rows) == 2 * 3 * 4  # precisions, time steps, values
     soft = [r for r in rows if (r["value"], r["dt"]) == ("100.0", "0.001")]
     assert [r["verdict"] for r in soft] == [SETTLED] * 2
-    assert len(json.loads(figures.read_text())["loop"]) == len(
-        list(csv.DictReader((out / "loop.csv").open()))
-    )
+    assert len(json.loads(figures.read_text())["loop"]) == len(table(out / "loop.csv"))
     page = (out / "stability.html").read_text()
     assert page.count("data:image/png;base64,") == 2 and "http" not in page
     assert all(png.stat().st_size < 100_000 for png in out.glob("*.png"))
