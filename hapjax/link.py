@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from . import god_object, grasp, rotation, safe
+from . import god_object, grasp, rotation
 from .body import Wrench
 from .god_object import GodObject, Grip, Meeting, Pressed
 from .shape import Track
@@ -59,14 +59,14 @@ class Link(eqx.Module):
         return {
             name: grasp.residual(side, self.place - centres[name][None])
             for name, side in sides
-            if name in centres
+            if name is not None and name in centres
         }
 
     def slip(self, rates: Rates, centres: Mapping[str, Array]) -> Float[Array, "n 3"]:
         """The velocity (m/s) of the points against the surface that objects moving at `rates` give them."""
         velocity = jnp.zeros_like(self.place)
         for name, sign in ((self.of, 1), (self.on, -1)):
-            if name in centres:
+            if name is not None and name in centres:
                 straight, spin = rates[name]
                 velocity = velocity + sign * straight[None]
                 if spin is not None:
@@ -92,25 +92,6 @@ class Link(eqx.Module):
         needed = self.meeting.surface.needs_velocity()
         link = self.at(slip) if needed else self
         return link._with(near=near, offset=offset - moved, grip=grip)
-
-    def within(self, grip: Grip, dt: Float[Array, ""]) -> "Link":
-        """The same touch with god-objects no farther off than friction could hold them before this step's motion.
-
-        Surfaces are taken as flat in a step that looks ahead; where they turn far in it, offsets come out too long, and
-        stiff ones would throw things about.
-        """
-        surface, near = self.meeting.surface, self.meeting.near
-        stiffness = (
-            surface.stiffness if surface.tangential_stiffness is None else surface.tangential_stiffness
-        )
-        come = jnp.zeros_like(self.point) if self.carried is None else -self.carried
-        if self.drive is not None:
-            come = come - dt * rotation.turn_back(self.matrix, self.drive)
-        before = self.meeting.offset - come
-        longest = jax.vmap(surface.static_at)(near, before) * grip.whole / stiffness
-        length = safe.norm(before)
-        held = before * jnp.where(length > longest, safe.divide(longest, length), 1)[:, None]
-        return self._with(offset=held + come)
 
     def grip(self) -> Grip:
         """The normal forces of the step before, at the velocity of now."""

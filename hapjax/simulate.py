@@ -160,7 +160,9 @@ def _substep(
         for name in scene.touchable()
     }
     pairs_of = {name: _contacts(scene, state, motions, placed, name, dt) for name in scene.contact}
-    fingers, pairs_of = scene.integrator.foresee((fingers, pairs_of), _bodies(scene, placed, motions), dt)
+    (fingers, pairs_of), foreseen = scene.integrator.foresee(
+        (fingers, pairs_of), _bodies(scene, placed, motions), dt
+    )
     pressed = {name: god_object.press(link.meeting, dt) for name, link in fingers.items()}
     gods = OrderedDict((name, link.keep(pressed[name])) for name, link in fingers.items())
 
@@ -180,24 +182,27 @@ def _substep(
                 turning,
                 dt,
             )
+            if foreseen is not None:  # what torsion changes is all that is left to do
+                wrenches[name] = jax.tree.map(jnp.subtract, wrenches[name], found)
     contacts: dict[str, tuple[GodObject, ...]] = OrderedDict()
     collisions: dict[str, Touch] = OrderedDict()
     for name, links in pairs_of.items():
         answers = [god_object.press(link.meeting, dt) for link in links]
         contacts[name] = tuple(link.keep(answer) for link, answer in zip(links, answers, strict=True))
         collisions[name] = jax.tree.map(lambda *x: jnp.concatenate(x), *(a.touch for a in answers))
-        for link, answer in zip(links, answers, strict=True):
-            wrenches = join(wrenches, link.wrenches(answer, centres))
+        if foreseen is None:
+            for link, answer in zip(links, answers, strict=True):
+                wrenches = join(wrenches, link.wrenches(answer, centres))
 
     after = OrderedDict()
-    for name, motion in motions.items():
+    for name, motion in (motions if foreseen is None else foreseen).items():
         wrench = wrenches.get(name, Wrench(jnp.zeros_like(hip[0]), jnp.zeros_like(hip[0])))
         pivot = None
         if scene.integrator.needs_pivot and name in gods:
             points = placed[name].to_world(gods[name].point)
             pivot = grasp.pivot(points, gods[name].depth > 0, centres[name])
         twist = holds[name].twist if name in holds else None
-        after[name] = _move(scene, motion, name, wrench, twist, dt, pivot)
+        after[name] = _move(scene, motion, name, wrench, twist, dt, pivot, foreseen is not None)
     force = jnp.zeros_like(hip)
     for name, link in fingers.items():
         force = force + rotation.turn(link.matrix, pressed[name].touch.force)
@@ -243,8 +248,8 @@ def _grasp(
     scene, state, motion: Motion, link: Link, gods: GodObject, touch: Touch, wrench: Wrench, turning, dt
 ) -> tuple[Wrench, Held]:
     """The wrench of all fingers on a moving object, and what torsion makes of it."""
-    held = Held(wrench.torque)
-    if _resists(scene, motion, link.point):
+    held, spin = Held(wrench.torque), motion.spin
+    if spin is not None and _resists(scene, motion, link.point):
         grip = Grip(
             rotation.turn(link.matrix, gods.point),
             rotation.turn(link.matrix, safe.normalise(touch.force - touch.friction_force)),
@@ -254,7 +259,7 @@ def _grasp(
             link.before > 0,
         )
         angle = state.god_angle.get(link.on)
-        held = _torsion(scene).hold(grip, angle, wrench.torque, motion.spin, turning, dt)
+        held = _torsion(scene).hold(grip, angle, wrench.torque, spin, turning, dt)
     if scene.world.dead_band is not None and motion.spin is not None:
         held = dataclasses.replace(held, torque=grasp.dead_band(held.torque, scene.world.dead_band))
     return Wrench(wrench.force, held.torque), held
@@ -271,11 +276,14 @@ def _torsion(scene: Scene) -> Torsion:
     return scene.torsion
 
 
-def _move(scene, motion: Motion, name: str, wrench: Wrench, twist: Twist | None, dt, pivot) -> Motion:
+def _move(
+    scene, motion: Motion, name: str, wrench: Wrench, twist: Twist | None, dt, pivot, foreseen: bool
+) -> Motion:
     body, shape = _parts(scene, name)
-    if scene.world.gravity is not None:
+    if scene.world.gravity is not None and not foreseen:
         wrench = Wrench(wrench.force + body.mass * scene.world.gravity, wrench.torque)
-    return scene.integrator.advance(body, shape, motion, wrench, scene.world.gyroscopic, twist, dt, pivot)
+    gyroscopic = scene.world.gyroscopic and not foreseen
+    return scene.integrator.advance(body, shape, motion, wrench, gyroscopic, twist, dt, pivot)
 
 
 def _parts(scene: Scene, name: str) -> tuple[Body, Shape]:

@@ -30,6 +30,13 @@ class Bodies(eqx.Module):
         """Their velocities now."""
         return {name: (motion.velocity, motion.spin) for name, motion in self.motion.items()}
 
+    def moving_at(self, rates: Rates) -> dict[str, Motion]:
+        """The objects where they are, with other velocities."""
+        return {
+            name: Motion(motion.position, motion.orientation, *rates[name])
+            for name, motion in self.motion.items()
+        }
+
     def pushed(self, rates: Rates, wrenches: Mapping[str, Wrench], dt: Float[Array, ""]) -> Rates:
         """The velocities after wrenches have acted for `dt` s."""
         after = dict(rates)

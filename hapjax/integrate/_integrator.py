@@ -41,12 +41,17 @@ class Integrator(eqx.Module):
         """Where a body is when the forces of a step of `dt` s are read: where it was, unless told otherwise."""
         return motion
 
-    def foresee(self, links: Links, bodies: Bodies, dt: Float[Array, ""]) -> Links:
+    def foresee(
+        self, links: Links, bodies: Bodies, dt: Float[Array, ""]
+    ) -> tuple[Links, dict[str, Motion] | None]:
         """Touches as the laws are to read them: as they are, unless told otherwise.
+
+        Also the objects with the velocities that these touches and gravity give them, where that is known; `advance` is
+        then given what torsion changes of the wrenches, and nothing else.
 
         **Arguments:** `links`, a pytree of `Link`.
         """
-        return links
+        return links, None
 
     @abstractmethod
     def advance(

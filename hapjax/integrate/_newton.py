@@ -72,7 +72,9 @@ class Balance(eqx.Module):
         stiffness = -(rows + jnp.swapaxes(rows, -1, -2)) / 2
         slips = self.slips.reshape(-1, 3, v.size)
         curvature = jnp.sum(stiffness[..., None] * slips[:, None], axis=2).reshape(-1, v.size)
-        return self.mass + self.dt * (self.slips.T @ curvature)
+        hessian = self.mass + self.dt * (self.slips.T @ curvature)
+        # Rounding of stiff touches must not leave it without a Cholesky factor.
+        return hessian + jnp.diag(8 * jnp.finfo(v.dtype).eps * jnp.diagonal(hessian))
 
     def _down(self, v, change, promise) -> tuple[Float[Array, "D"], Float[Array, "D"]]:
         """To the minimum along a Newton step, which is its end unless it climbs again before; and the residual there.

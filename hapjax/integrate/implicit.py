@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from .. import body as rigid
 from .. import god_object, rotation
-from ..body import Body
+from ..body import Body, Motion
 from ..god_object import Grip
 from ..link import Link, Rates
 from ..shape import Shape
@@ -36,22 +36,23 @@ class Implicit(SemiImplicit):
 
     looks_ahead = True
 
-    def foresee(self, links: Links, bodies: Bodies, dt: Float[Array, ""]) -> Links:
-        """Touches as they are at the end of the step."""
+    def foresee(
+        self, links: Links, bodies: Bodies, dt: Float[Array, ""]
+    ) -> tuple[Links, dict[str, Motion] | None]:
+        """Touches and velocities as they are at the end of the step."""
         every = jax.tree.leaves(links, is_leaf=_is_link)
         if not bodies.motion or not every:
-            return links
-        grips = [link.grip() for link in every]
-        held = [link.within(grip, dt) for link, grip in zip(every, grips, strict=True)]
-        touches = _Touches(held, grips, bodies, dt)
+            return links, None
+        touches = _Touches(every, [link.grip() for link in every], bodies, dt)
         free, unflatten = ravel_pytree(self._free(bodies, dt))
         now, _ = ravel_pytree(bodies.rates())
         each = jnp.eye(free.size, dtype=free.dtype)
         mass = jax.vmap(lambda v: ravel_pytree(bodies.momenta(unflatten(v)))[0], out_axes=1)(each)
         slips = jax.vmap(lambda v: touches.slips(unflatten(v)).ravel(), out_axes=1)(each)
         v = Balance(mass, free, slips, touches.force, dt).solve(now)
-        found = iter(touches.ahead(touches.slips(unflatten(v))))
-        return jax.tree.map(lambda _: next(found), links, is_leaf=_is_link)
+        rates = unflatten(v)
+        found = iter(touches.ahead(touches.slips(rates)))
+        return jax.tree.map(lambda _: next(found), links, is_leaf=_is_link), bodies.moving_at(rates)
 
     def _free(self, bodies: Bodies, dt: Float[Array, ""]) -> Rates:
         """The velocities after the step if nothing touched."""
@@ -61,15 +62,6 @@ class Implicit(SemiImplicit):
                 spin = _coast(*bodies.parts[name], bodies.matrix[name], spin, dt)
             rates[name] = (velocity, spin)
         return bodies.pushed(rates, bodies.weights(), dt)
-
-    def spun(
-        self, body: Body, shape: Shape, matrix, spin, torque, gyroscopic: bool, dt: Float[Array, ""]
-    ) -> Float[Array, "3"]:
-        """The spin after `dt` s under a torque (N m)."""
-        if gyroscopic:
-            spin = _coast(body, shape, matrix, spin, dt)
-        inertia = rigid.inertia_of(body, shape)
-        return spin + dt * rigid.angular_acceleration(inertia, matrix, spin, torque, False)
 
 
 class _Touches:

@@ -34,11 +34,11 @@ class LieMidpoint(Integrator):
         """The free motion of the first half of a step."""
         return _free(body, shape, motion, gyroscopic, dt / 2)
 
-    def foresee(self, links: Links, bodies: Bodies, dt: Float[Array, ""]) -> Links:
+    def foresee(self, links: Links, bodies: Bodies, dt: Float[Array, ""]) -> tuple[Links, None]:
         """Touches at the velocities of the middle of the step."""
         every = jax.tree.leaves(links, is_leaf=lambda x: isinstance(x, Link))
         if all(link.meeting.velocity is None for link in every):
-            return links
+            return links, None
         wrenches = bodies.weights()
         for link in every:
             wrenches = join(wrenches, link.wrenches(god_object.press(link.meeting, dt), bodies.centre))
@@ -48,7 +48,7 @@ class LieMidpoint(Integrator):
             known = link.meeting.velocity is not None
             return link.at(link.slip(rates, bodies.centre)) if known else link
 
-        return jax.tree.map(read, links, is_leaf=lambda x: isinstance(x, Link))
+        return jax.tree.map(read, links, is_leaf=lambda x: isinstance(x, Link)), None
 
     def advance(
         self,

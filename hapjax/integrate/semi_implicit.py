@@ -30,7 +30,10 @@ class SemiImplicit(Integrator):
         if motion.spin is None:
             return Motion(motion.position + dt * velocity, motion.orientation, velocity, None)
         matrix = rotation.to_matrix(motion.orientation)
-        spin = self.spun(body, shape, matrix, motion.spin, wrench.torque, gyroscopic, dt)
+        inertia = rigid.inertia_of(body, shape)
+        spin = motion.spin + dt * rigid.angular_acceleration(
+            inertia, matrix, motion.spin, wrench.torque, gyroscopic
+        )
         if twist is not None:
             spin = lock(twist, spin)
         orientation = rotation.normalise(self.turn(motion.orientation, spin, dt))
@@ -39,20 +42,6 @@ class SemiImplicit(Integrator):
         if centre is not None:  # it is the centre of mass that moves straight on
             position = position + rotation.turn(matrix - rotation.to_matrix(orientation), centre)
         return Motion(position, orientation, velocity, spin)
-
-    def spun(
-        self,
-        body: Body,
-        shape: Shape,
-        matrix: Float[Array, "3 3"],
-        spin: Float[Array, "3"],
-        torque: Float[Array, "3"],
-        gyroscopic: bool,
-        dt: Float[Array, ""],
-    ) -> Float[Array, "3"]:
-        """The spin (rad/s) after a torque (N m) for `dt` s."""
-        inertia = rigid.inertia_of(body, shape)
-        return spin + dt * rigid.angular_acceleration(inertia, matrix, spin, torque, gyroscopic)
 
     def turn(
         self, orientation: Float[Array, "4"], spin: Float[Array, "3"], dt: Float[Array, ""]
