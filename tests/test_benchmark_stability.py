@@ -183,7 +183,7 @@ def test_a_quick_run_leaves_everything(tmp_path, capsys):
     assert main(["benchmark", "stability", *arguments, "--out", str(out), "--json", str(figures)]) == 0
     assert "semi_implicit" in capsys.readouterr().out
     rows = table(out / "stability.csv")
-    assert len(rows) == 2 * 3 * 4  # precisions, time steps, values
+    assert len(rows) == 2 * 3 * 5  # precisions, time steps, values
     soft = [r for r in rows if (r["value"], r["dt"]) == ("100.0", "0.001")]
     assert [r["verdict"] for r in soft] == [SETTLED] * 2
     assert len(json.loads(figures.read_text())["loop"]) == len(table(out / "loop.csv"))

@@ -33,12 +33,13 @@ class Map:
     limit: Callable[[float], float] | None = None
 
     def thinned(self) -> "Map":
-        """The same with every fourth value: the ends, the middle and the quarters."""
-        return replace(self, values=self.values[::4])
+        """The same with the ends, the middle and the quarters, as near as there are values."""
+        places = np.rint(np.linspace(0, len(self.values) - 1, 5)).astype(int)
+        return replace(self, values=tuple(self.values[i] for i in places))
 
 
-def _decades(low: int, high: int) -> tuple[float, ...]:
-    return tuple((10.0 ** np.linspace(low, high, 13)).tolist())
+def _decades(low: int, high: int, count: int = 13) -> tuple[float, ...]:
+    return tuple((10.0 ** np.linspace(low, high, count)).tolist())
 
 
 def explicit_limit(**numbers: float) -> float:
@@ -60,8 +61,9 @@ def _cube_map(parameter: str, label: str, unit: str, values: Sequence[float]) ->
 MAPS = {
     "stiffness": _cube_map("stiffness", "stiffness", "N/m", _decades(2, 8)),
     "mass": _cube_map("mass", "mass", "kg", _decades(-3, 1)),
+    # Fewer of them: a step of a stack costs fifty times that of a cube on a floor.
     "mass_ratio": Map(
-        "mass_ratio", "mass of the upper cube over that of the lower", "", _decades(0, 4), dropped_stack
+        "mass_ratio", "mass of the upper cube over that of the lower", "", _decades(0, 4, 7), dropped_stack
     ),
     "mu": _cube_map("mu", "friction", "", [0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0]),
     "penetration": _cube_map(
