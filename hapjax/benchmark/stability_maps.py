@@ -38,7 +38,8 @@ class Map:
         return replace(self, values=tuple(self.values[i] for i in places))
 
 
-def _decades(low: int, high: int, count: int = 13) -> tuple[float, ...]:
+def decades(low: int, high: int, count: int = 13) -> tuple[float, ...]:
+    """Numbers spread evenly over decades: `count` from 10^low to 10^high."""
     return tuple((10.0 ** np.linspace(low, high, count)).tolist())
 
 
@@ -59,11 +60,11 @@ def _cube_map(parameter: str, label: str, unit: str, values: Sequence[float]) ->
 
 
 MAPS = {
-    "stiffness": _cube_map("stiffness", "stiffness", "N/m", _decades(2, 8)),
-    "mass": _cube_map("mass", "mass", "kg", _decades(-3, 1)),
+    "stiffness": _cube_map("stiffness", "stiffness", "N/m", decades(2, 8)),
+    "mass": _cube_map("mass", "mass", "kg", decades(-3, 1)),
     # Fewer of them: a step of a stack costs fifty times that of a cube on a floor.
     "mass_ratio": Map(
-        "mass_ratio", "mass of the upper cube over that of the lower", "", _decades(0, 4, 7), dropped_stack
+        "mass_ratio", "mass of the upper cube over that of the lower", "", decades(0, 4, 7), dropped_stack
     ),
     "mu": _cube_map("mu", "friction", "", [0.0, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0]),
     "penetration": _cube_map(
@@ -76,7 +77,7 @@ MAPS = {
         [0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 300.0, 500.0, 700.0, 1000.0],
     ),
     "inertia": _cube_map(
-        "inertia_ratio", "two larger moments of inertia over the smallest", "", _decades(0, 4)
+        "inertia_ratio", "two larger moments of inertia over the smallest", "", decades(0, 4)
     ),
 }
 

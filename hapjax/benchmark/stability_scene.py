@@ -17,7 +17,7 @@ from ..simulate import init
 from ._timing import compiled, step_us
 from .stability_cells import AWAY, BASE, SECONDS, SETTLED, Numbers, Start, programs
 from .stability_loop import passive_stiffness
-from .stability_maps import DTYPES, Map, _decades
+from .stability_maps import DTYPES, Map, decades
 
 NUDGE, TURN = 0.1, 1.0  # m/s down and rad/s about a horizontal axis, of every object at the start
 SUBSTEPS = (1, 2, 4, 8, 16, 32, 64)
@@ -58,7 +58,7 @@ def scaled_map(scene: Scene) -> Map:
                 f"object.{name} has a body and no contact, so it falls for ever; allowed for this: a contact that names it"
             )
     return Map(
-        "stiffness_factor", "stiffness of the contacts, times", "", _decades(-2, 4), partial(_scaled, scene)
+        "stiffness_factor", "stiffness of the contacts, times", "", decades(-2, 4), partial(_scaled, scene)
     )
 
 
