@@ -151,19 +151,19 @@ def _points_on(
     """The points of one against the surface of the other."""
     a, b = (pair[i] for i in way)
     shape, radius = b.placed.shape, a.placed.shape.rounding()
-    own = _points_of(a, b)
+    own, faces = _points_of(a, b), None
     points = b.placed.to_local(a.placed.to_world(own))
     if radius is None:
         track, near = jax.vmap(shape.follow)(gods.track, points)
         if apart:
-            near = god_object.or_apart(shape, near, points)
+            near, faces = god_object.or_apart(shape, near, points)
     else:
         track, near = None, jax.vmap(shape.closest)(points)
         points = points - radius * near.normal
         near = eqx.tree_at(lambda n: n.depth, near, near.depth + radius)
     if isinstance(shape, Capsule) and not (way[0] == 0 and isinstance(a.placed.shape, Capsule)):
-        side = jax.vmap(shape.has_side)(points)  # the balls at its ends touch by their own points
-        near = eqx.tree_at(lambda n: n.depth, near, jnp.where(side, near.depth, 0))
+        faces = jax.vmap(shape.has_side)(points)  # the balls at its ends touch by their own points
+        near = eqx.tree_at(lambda n: n.depth, near, jnp.where(faces, near.depth, 0))
     places = b.placed.to_world(points)
     slip = None
     if contact.needs_velocity():
@@ -174,7 +174,7 @@ def _points_on(
         gods = eqx.tree_at(lambda g: g.point, gods, gods.point - carried)
     meeting = god_object.meet(contact, gods, near, points, slip)
     names = contact.between[way[0]], contact.between[way[1]]
-    return Link(meeting, points, places, b.placed.matrix, track, gods.depth, None, carried, *names)
+    return Link(meeting, points, places, b.placed.matrix, track, gods.depth, None, carried, faces, *names)
 
 
 def _carried(a: Mover, b: Mover, own, radius, near: SurfacePoint):
@@ -213,6 +213,7 @@ def _edges_on(contact: Contact, gods: GodObject, a: Mover, b: Mover, dt: Float[A
     speed = slip if contact.needs_velocity() else None
     meeting = Meeting(contact, near, offset, gods.sliding, rounding, speed)
     matrix, names = b.placed.matrix, contact.between
+    faces = active | found.admissible
     return Link(
-        meeting, found.point, places, matrix, None, gods.depth, None, dt * slip, *names, crossing=True
+        meeting, found.point, places, matrix, None, gods.depth, None, dt * slip, faces, *names, crossing=True
     )

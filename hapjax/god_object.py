@@ -6,7 +6,7 @@ The point is a finger's haptic interface point (HIP) or a point of another objec
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .shape import Mesh, Shape, SurfacePoint, Track
 from .surface import Surface
@@ -105,20 +105,23 @@ def touch(
     return GodObject(after.point, after.depth, after.sliding, track), result
 
 
-def or_apart(shape: Shape, near: SurfacePoint, points: Float[Array, "n 3"]) -> SurfacePoint:
-    """The surface points that hold points (m), of those that touch nothing the closest ones, with depths below 0.
+def or_apart(
+    shape: Shape, near: SurfacePoint, points: Float[Array, "n 3"]
+) -> tuple[SurfacePoint, Bool[Array, "n"] | None]:
+    """The surface points that hold points (m), of those that touch nothing the closest ones, with depths up to 0.
 
-    A mesh has no such depth: to look for it would cost with its size.
+    Also which points have such a depth; `None`: all. Those outside a mesh have none: to look for it would cost with the
+    mesh's size.
     """
     if isinstance(shape, Mesh):
-        return near
+        return near, near.depth > 0
     closest = jax.vmap(shape.closest)(points)
-    outside = (near.depth <= 0) & (closest.depth < 0)
-    return jax.tree.map(
-        lambda out, held: jnp.where(outside.reshape(outside.shape + (1,) * (held.ndim - 1)), out, held),
-        closest,
-        near,
-    )
+    outside = (near.depth <= 0) & (closest.depth <= 0)
+
+    def pick(out, held):
+        return jnp.where(outside.reshape(outside.shape + (1,) * (held.ndim - 1)), out, held)
+
+    return jax.tree.map(pick, closest, near), None
 
 
 def meet(

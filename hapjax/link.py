@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from . import god_object, grasp, rotation
 from .body import Wrench
@@ -30,6 +30,7 @@ class Link(eqx.Module):
     - `drive` (m/s): the fingers' own velocity in the world, where it is known.
     - `carried` (m): how far the material passed through the points in this step, which the offset knows already.
       `None`: they are fixed in it.
+    - `faces`: which of them have a surface before them that they could run into. `None`: all.
     - `crossing`: they are where edges cross, and a god-object is kept as its offset.
     """
 
@@ -41,6 +42,7 @@ class Link(eqx.Module):
     before: Float[Array, "n"]
     drive: Float[Array, "n 3"] | None
     carried: Float[Array, "n 3"] | None
+    faces: Bool[Array, "n"] | None
     of: str | None = eqx.field(static=True)
     on: str = eqx.field(static=True)
     crossing: bool = eqx.field(static=True, default=False)
@@ -86,8 +88,9 @@ class Link(eqx.Module):
         deepening = -jnp.sum(near.normal * slip, axis=-1)
         along = dt * (slip + deepening[:, None] * near.normal)
         moved = along if self.carried is None else along - self.carried
-        # A depth of exactly 0 says that there is nothing to run into.
-        depth = jnp.where(near.depth == 0, 0, near.depth + dt * deepening)
+        depth = near.depth + dt * deepening
+        if self.faces is not None:
+            depth = jnp.where(self.faces, depth, near.depth)
         near = dataclasses.replace(near, depth=depth, point=near.point + moved)
         needed = self.meeting.surface.needs_velocity()
         link = self.at(slip) if needed else self

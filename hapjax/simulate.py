@@ -219,10 +219,11 @@ def _fingers_on(scene, state, placed: Placed, name: str, hip, drive, rates, cent
     surface, gods = _surface(scene, name), state.finger[name]
     local = placed.to_local(hip)
     track, near = jax.vmap(placed.shape.follow)(gods.track, local)
+    faces = None
     if scene.integrator.looks_ahead:
-        near = god_object.or_apart(placed.shape, near, local)
+        near, faces = god_object.or_apart(placed.shape, near, local)
     meeting = god_object.meet(surface, gods, near, local, None)
-    link = Link(meeting, local, hip, placed.matrix, track, gods.depth, drive, None, None, name)
+    link = Link(meeting, local, hip, placed.matrix, track, gods.depth, drive, None, faces, None, name)
     return link.at(link.slip(rates, centres)) if surface.needs_velocity() else link
 
 
