@@ -136,3 +136,27 @@ def test_no_nan_at_singular_points(name, dtype):
         assert back == pytest.approx(np.asarray(ahead), rel=100 * eps, abs=4 * 2000 * eps), point
         if point[2] == 0:
             assert abs(float(value)) < 1e-20
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 1e-6, 0.0), (0.0, 0.0, 0.0)])
+def test_no_nan_where_the_grain_is_all_but_frictionless_across(direction, dtype):
+    """An anisotropy whose square is 0 in this precision: mu along the grain, next to nothing across it."""
+    tiny = float(np.finfo(dtype).tiny) ** 0.75
+    given = [jnp.asarray(x, dtype) for x in (0.4, tiny, (1.0, 0.0, 0.0), direction)]
+    value, slopes = along_grain(*given)
+    assert given[1] ** 2 == 0 and np.all(np.isfinite(value))
+    assert all(np.all(np.isfinite(slope)) for slope in slopes)
+    expected = 0.4 if direction[1] == 0 else 0.0
+    assert float(value) == pytest.approx(expected, abs=1e-7)
+
+
+@jax.jit
+def along_grain(mu, anisotropy, grain, direction):
+    """The mu of a direction on a plane, and its derivatives."""
+
+    def one(mu, anisotropy, grain, direction):
+        near = hapjax.Plane().closest(jnp.zeros_like(direction))
+        kind = dict(anisotropy=anisotropy, grain=grain)
+        return hapjax.Surface(jnp.ones_like(mu), mu, **kind).static_at(near, direction)
+
+    return jax.value_and_grad(one, (0, 1, 2, 3))(mu, anisotropy, grain, direction)

@@ -213,18 +213,18 @@ def test_the_force_is_never_above_the_static_limit(name, dtype):
 
 
 @jax.jit
-def lifted(law):
-    """Forces on a finger that slides over a plane, rises out of it, and comes down again."""
-    t = jnp.linspace(0, 1, 400)
-    hips = jnp.stack([0.05 * t, 0.01 * jnp.sin(9 * t), -1e-3 * jnp.cos(12 * t)], -1)[:, None]
+def touching(law, way):
+    """What a finger feels on its way (T, 3) m over a plane."""
     scene = hapjax.Scene({"it": hapjax.Object(hapjax.Plane(), law)})
-    _, reply = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
+    _, reply = hapjax.rollout(scene, hapjax.init(scene, way[:1]), way[:, None])
     return reply.touch["it"]
 
 
 @pytest.mark.parametrize("name", LAWS)
 def test_friction_comes_and_goes_with_the_normal_force(name):
-    touch = lifted(surface(name))
+    t = jnp.linspace(0, 1, 400)
+    way = jnp.stack([0.05 * t, 0.01 * jnp.sin(9 * t), -1e-3 * jnp.cos(12 * t)], -1)
+    touch = touching(surface(name), way)
     normal, friction = (
         np.asarray(touch.normal_force)[:, 0],
         np.linalg.norm(touch.friction_force, axis=-1)[:, 0],
@@ -235,6 +235,21 @@ def test_friction_comes_and_goes_with_the_normal_force(name):
     )  # mu, bristles' damping, viscous friction
     slipping = friction[normal > 0.5]
     assert slipping.max() > 0.2 * 0.5
+
+
+@pytest.mark.parametrize("name", ["cone", "viscous", "karnopp"])
+def test_a_finger_that_lands_anew_has_to_break_away_again(name):
+    """It is above the surface for a moment, and as fast as before."""
+    steps = np.arange(400)
+    height = np.where((steps >= 200) & (steps < 203), 1e-3, -1e-3)
+    speed = 0.05
+    touch = touching(surface(name), jnp.asarray(np.stack([speed * 1e-3 * steps, 0 * steps, height], -1)))
+    ratio = np.linalg.norm(touch.friction_force, axis=-1)[:, 0] / 2
+    assert np.all(ratio[200:203] == 0)
+    one_step = 2000 * speed * 1e-3 / 2
+    for part in (ratio[:200], ratio[203:]):
+        assert part.max() == pytest.approx(0.5, abs=one_step)
+        assert part[-1] < 0.34
 
 
 def count(jaxpr):

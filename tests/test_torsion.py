@@ -15,10 +15,9 @@ AREA = np.pi * (MU * DEPTH) ** 2
 PINCH = np.array([[EDGE / 2 - DEPTH, 0, 0], [DEPTH - EDGE / 2, 0, 0]])
 
 
-def held(torsion=None, gravity=None, **integrator):
-    box = hapjax.Object(
-        hapjax.Box((EDGE,) * 3), hapjax.Surface(K, mu=MU, damping=1.0), hapjax.Body(MASS, INERTIA)
-    )
+def held(torsion=None, gravity=None, surface=None, **integrator):
+    surface = hapjax.Surface(K, mu=MU, damping=1.0) if surface is None else surface
+    box = hapjax.Object(hapjax.Box((EDGE,) * 3), surface, hapjax.Body(MASS, INERTIA))
     world = hapjax.World(gravity=gravity)
     return hapjax.Scene(
         {"it": box}, torsion=torsion, world=world, integrator=hapjax.SemiImplicit(**integrator)
@@ -128,6 +127,19 @@ def test_a_packed_step_takes_gimbals(dtype):
     assert packed.state(memory).motion["it"].orientation == pytest.approx(
         final.motion["it"].orientation, abs=1e-6
     )
+
+
+# Gravity drop ---------------------------------------------------------------------------------------------
+
+
+def test_the_area_of_the_circles_is_that_of_the_static_mu():
+    """A box that spins about the grasp's line is stopped by an area just above A_crit, and not by one just below."""
+    surface = hapjax.Surface(K, mu_static=MU, mu_kinetic=0.5 * MU, damping=1.0)
+    turned = []
+    for share in (1.01, 0.99):
+        scene = held(hapjax.GravityDrop(AREA / share), surface=surface)
+        turned.append(np.ptp(tilts(play(scene, at_rest(PINCH, 50), spin=(0.5, 0, 0))[1])))
+    assert turned == pytest.approx([0, 49 * 1e-3 * 0.5], abs=1e-6)
 
 
 # Soft fingers ---------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import plotting
 import pytest
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -59,6 +60,29 @@ def test_every_example_with_a_plot_is_tested():
     assert set(CLAIMS) == {
         path.stem for path in EXAMPLES.glob("*.py") if "from plotting import" in path.read_text()
     }
+
+
+@pytest.mark.parametrize(
+    ("folder", "writable", "says"),
+    [
+        ("file/plots", True, "file/plots cannot be made (Not a directory); allowed: a folder for the plot"),
+        ("file", True, "file cannot be made (File exists); allowed: a folder for the plot"),
+        ("plots", False, "plots cannot be written to; allowed: a folder for the plot"),
+    ],
+)
+def test_a_folder_that_cannot_be_is_refused_in_one_sentence(
+    folder, writable, says, tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "file").write_text("here before")
+    monkeypatch.setattr(sys, "argv", ["gimbal.py", "--out", str(tmp_path / folder)])
+    if not writable:
+        monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(SystemExit) as ended:
+        plotting.begin("An example.")
+    answer = capsys.readouterr()
+    assert ended.value.code == 2 and answer.out == ""
+    assert answer.err.splitlines()[-1] == f"gimbal.py: error: --out {tmp_path}/{says}"
+    assert "Traceback" not in answer.err and (tmp_path / "file").read_text() == "here before"
 
 
 @pytest.mark.slow
