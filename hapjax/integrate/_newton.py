@@ -59,7 +59,11 @@ class Balance(eqx.Module):
 
         def one(carry):
             v, residual, _, count = carry
-            change = -jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(self._hessian(v)), residual)
+            hessian = self._hessian(v)
+            change = -jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(hessian), residual)
+            # In float32 rounding of stiff touches may leave no factor, or one that leads uphill.
+            leads = jnp.sum(residual * change) < 0  # and False of NaN
+            change = jnp.where(leads, change, -residual / jnp.diagonal(hessian))
             v, residual = self._down(v, change, -jnp.sum(residual * change))
             return v, residual, change, count + 1
 
@@ -72,9 +76,7 @@ class Balance(eqx.Module):
         stiffness = -(rows + jnp.swapaxes(rows, -1, -2)) / 2
         slips = self.slips.reshape(-1, 3, v.size)
         curvature = jnp.sum(stiffness[..., None] * slips[:, None], axis=2).reshape(-1, v.size)
-        hessian = self.mass + self.dt * (self.slips.T @ curvature)
-        # Rounding of stiff touches must not leave it without a Cholesky factor.
-        return hessian + jnp.diag(8 * jnp.finfo(v.dtype).eps * jnp.diagonal(hessian))
+        return self.mass + self.dt * (self.slips.T @ curvature)
 
     def _down(self, v, change, promise) -> tuple[Float[Array, "D"], Float[Array, "D"]]:
         """To the minimum along a Newton step, which is its end unless it climbs again before; and the residual there.
