@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 import hapjax
 
 G = 9.81
+begin = jax.jit(hapjax.init)  # as one program: its operations one by one take longer to compile
 
 
 def matrix(wxyz) -> np.ndarray:
