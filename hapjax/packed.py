@@ -40,9 +40,13 @@ class PackedStep:
         """The forces (F, 3) in N on the fingers, world frame, that a call ended with."""
         return np.asarray(memory)[: 3 * self.fingers].reshape(self.fingers, 3)
 
+    def is_lost(self, memory: Array) -> bool:
+        """Whether the call left the range of sense: `Reply.lost`."""
+        return bool(np.asarray(memory)[-1])
+
     def state(self, memory: Array) -> State:
         """The memory as a State."""
-        return self.unravel(memory[3 * self.fingers :])
+        return self.unravel(memory[3 * self.fingers : -1])
 
 
 def pack(
@@ -60,10 +64,11 @@ def pack(
     dtype = dtype_of(scene)
 
     def packed(memory: Array, hip: Array, gimbal: Array | None = None) -> Array:
-        after, reply = step(scene, unravel(memory[3 * fingers :]), hip, dt, gimbal)
-        return jnp.concatenate([reply.force.ravel(), ravel_pytree(after)[0]])
+        after, reply = step(scene, unravel(memory[3 * fingers : -1]), hip, dt, gimbal)
+        lost = reply.lost.astype(dtype)[None]
+        return jnp.concatenate([reply.force.ravel(), ravel_pytree(after)[0], lost])
 
-    start = jnp.concatenate([jnp.zeros(3 * fingers, dtype), flat])
+    start = jnp.concatenate([jnp.zeros(3 * fingers, dtype), flat, jnp.zeros(1, dtype)])
     began = time.perf_counter()
     shapes = [(fingers, 3)] if gimbal is None else [(fingers, 3), (fingers,)]
     call = jax.jit(packed).lower(start, *(jax.ShapeDtypeStruct(shape, dtype) for shape in shapes)).compile()

@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from . import body as rigid
 from . import contact as pairs
@@ -21,6 +21,8 @@ from .link import Link, join
 from .scene import Scene, dtype_of
 from .shape import Shape
 from .torsion import Grip, Held, Torsion, Twist
+
+_SENSE = 1e12  # beyond it, in any SI unit, no scene makes sense, and the squares are near the end of float32
 
 
 class State(eqx.Module):
@@ -47,12 +49,16 @@ class Reply(eqx.Module):
     `force` (F, 3) N on the fingers, world frame; `pose` (O, 7) x y z qw qx qy qz of the moving objects in the scene's
     order after the step, m; `touch` and `contact` say for each touchable object and each contact what each finger or
     contact point did, in the touched object's frame.
+
+    `lost`: the step left the range of sense (a number that is not finite, or above 1e12). Then the forces are 0, and
+    the objects stay where they were and stand still.
     """
 
-    force: Float[Array, "F 3"]
-    pose: Float[Array, "O 7"]
+    force: Float[Array, "*T F 3"]
+    pose: Float[Array, "*T O 7"]
     touch: dict[str, Touch]
     contact: dict[str, Touch]
+    lost: Bool[Array, "*T"]
 
 
 def init(scene: Scene, hip: Float[Any, "F 3"], gimbal: Float[Any, "..."] | None = None) -> State:
@@ -115,7 +121,8 @@ def step(
         return _substep(scene, carry, start + fraction * (hip - start), turning, short)
 
     state, replies = jax.lax.scan(body, state, jnp.arange(1, count + 1, dtype=hip.dtype) / count)
-    return state, jax.tree.map(lambda x: x[-1], replies)
+    lost, reply = jnp.any(replies.lost), jax.tree.map(lambda x: x[-1], replies)
+    return state, dataclasses.replace(reply, force=jnp.where(lost, 0, reply.force), lost=lost)
 
 
 @jax.jit
@@ -211,7 +218,26 @@ def _substep(
     angles = OrderedDict((name, held.angle) for name, held in holds.items() if held.angle is not None)
     kept = State(None if state.hip is None else hip, after, gods, contacts, angles, state.gimbal)
     touches = OrderedDict((name, answer.touch) for name, answer in pressed.items())
-    return kept, Reply(force, poses, touches, collisions)
+    return _in_sense(state, kept, Reply(force, poses, touches, collisions, jnp.zeros((), bool)))
+
+
+def _in_sense(before: State, after: State, reply: Reply) -> tuple[State, Reply]:
+    """The state and reply after a step, or the state before it and no forces where the step was lost."""
+    numbers = jax.tree.leaves((after, reply.force))
+    fine = jnp.stack([jnp.all(jnp.abs(x) <= _SENSE) for x in numbers]).all()  # False of NaN
+    still = OrderedDict(
+        (name, dataclasses.replace(m, velocity=0 * m.velocity, spin=None if m.spin is None else 0 * m.spin))
+        for name, m in before.motion.items()
+    )
+    pose = [jnp.concatenate([m.position, m.orientation])[None] for m in still.values()]
+
+    def pick(new, old):
+        return jnp.where(fine, new, old)
+
+    state = jax.tree.map(pick, after, dataclasses.replace(before, motion=still))
+    touch, contact = jax.tree.map(lambda x: jnp.where(fine, x, 0), (reply.touch, reply.contact))
+    poses = pick(reply.pose, jnp.concatenate(pose)) if pose else reply.pose
+    return state, Reply(jnp.where(fine, reply.force, 0), poses, touch, contact, ~fine)
 
 
 def _fingers_on(scene, state, placed: Placed, name: str, hip, drive, rates, centres) -> Link:

@@ -28,7 +28,8 @@ class ServoResult:
 
     `recording`; for each tick how late it began, `lateness_us`, and how long it worked, `compute_us` (T,) us;
     `missed` deadlines; how many force commands were `not_finite` or `limited`; `refused`, a sentence for each
-    privilege that the system did not grant; `passivity`, what its control saw and did, `None` where it was off.
+    privilege that the system did not grant; `passivity`, what its control saw and did, `None` where it was off; `lost`,
+    at how many ticks the scene left the range of sense, and no force was put out.
     """
 
     recording: Recording
@@ -39,6 +40,7 @@ class ServoResult:
     limited: int
     refused: tuple[str, ...]
     passivity: PassivityControl | None = None
+    lost: int = 0
 
     def summary(self) -> dict[str, dict[str, float] | int]:
         """p50, p99, p99.9 and max of lateness and of compute time in us; ticks done and ticks missed."""
@@ -47,6 +49,7 @@ class ServoResult:
             "compute_us": _percentiles(self.compute_us),
             "ticks": len(self.lateness_us),
             "missed": self.missed,
+            "lost": self.lost,
         }
 
 
@@ -122,6 +125,7 @@ def run(
         guard.limited,
         tuple(refused),
         control,
+        log.lost,
     )
 
 
@@ -150,6 +154,7 @@ def _loop(
         if not np.isfinite(angle).all():
             raise DeviceError(f"tick {tick}: the gimbals read {angle.tolist()} rad; an angle must be finite")
         memory = packed.call(memory, *inputs)
+        log.lost += packed.is_lost(memory)
         force = guard(packed.force(memory))
         if control is not None:
             force = guard(control(force, hip))
@@ -181,6 +186,7 @@ class _Log:
         self.gimbal = np.zeros((ticks, packed.fingers)) if turned else None
         self.lateness_us = np.zeros(ticks)
         self.compute_us = np.zeros(ticks)
+        self.lost = 0
         if force_sensor is not None:
             self._force_every = _every("force_sensor", force_sensor.rate, rate)
             self._force = np.zeros((-(-ticks // self._force_every), packed.fingers, 3))

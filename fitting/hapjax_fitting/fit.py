@@ -14,7 +14,7 @@ from hapjax import InputError, Recording, Scene, cast
 
 from .breakaway import between, broken_away, is_static
 from .grip import cost_of_grip, holding_instead, is_needed, largest_ratio, raised, slipping_instead
-from .noise import noise_of, spread_of
+from .noise import lost, noise_of, spread_of
 from .observation import CHANNELS
 from .parameters import Parameter, Selector, free_parameters
 from .problem import NOTICEABLE, Problem, channels_of, grouped, stacked_residuals
@@ -171,7 +171,17 @@ def _result(
         trace=trace.losses,
         recordings=tuple(recordings),
         names=tuple(names),
+        lost=_count_lost(problem, channels),
     )
+
+
+def _count_lost(problem: Problem, channels: Sequence[tuple[str, Any]]) -> int:
+    """How many recordings the model lost: each group's channels are lost together."""
+    found = 0
+    for group in problem.groups:
+        width = (group.force is not None) + 2 * (group.pose is not None)
+        found, channels = found + int(np.sum(lost(channels[0][1]))), channels[width:]
+    return found
 
 
 def _estimate(parameter: Parameter, free: Array, known: Certainty, i: int) -> Estimate:

@@ -6,11 +6,11 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from hapjax import InputError, Recording
 
-from .observation import Noise
+from .observation import LOST, Noise
 
 _FIELDS = ("force", "position", "angle")
 
@@ -69,20 +69,29 @@ def spread_of(
 
     Noise that was given is believed: variance 1. Noise that was estimated is replaced by what the residuals
     turned out to be, allowing for the `free` numbers fitted to them, times their `correlation_time`: where
-    the model is wrong, neighbouring residuals err alike, and count as fewer samples than there are.
+    the model is wrong, neighbouring residuals err alike, and count as fewer samples than there are. Recordings that
+    the model lost count for nothing, unless it lost all.
     """
     parts: dict[str, list[np.ndarray]] = {}
     for key, r in channels:
-        parts.setdefault(key, []).append(np.asarray(r, np.float64))
+        followed = np.asarray(r, np.float64)[~lost(r)]
+        parts.setdefault(key, []).extend([followed] if len(followed) else [])
+    for key, r in channels:
+        parts[key] = parts[key] or [np.asarray(r, np.float64)]
     size = {
         key: float(np.sqrt(np.mean(np.concatenate([x.ravel() for x in r]) ** 2))) for key, r in parts.items()
     }
-    count = sum(r.size for _, r in channels)
+    count = sum(r.size for followed in parts.values() for r in followed)
     variance = {
         key: 1.0 if key in (given or {}) else size[key] ** 2 * count / (count - free) * correlation_time(r)
         for key, r in parts.items()
     }
     return size, np.concatenate([np.full(r.size, variance[key]) for key, r in channels])
+
+
+def lost(residuals: Float[Any, "R _ _"]) -> Bool[np.ndarray, "R"]:
+    """Which of the recordings the model lost."""
+    return np.all(np.asarray(residuals) >= LOST, axis=(1, 2))
 
 
 def correlation_time(series: Sequence[Float[np.ndarray, "_ _ _"]]) -> float:

@@ -11,6 +11,7 @@ from hapjax.errors import within
 
 CHANNELS = ("force", "pose")
 _LARGEST = 1e6  # N or m
+LOST = 1e6  # the whitened residual of what the model cannot follow
 _MOST_STEPS = 10_000_000  # almost three hours at 1 kHz
 
 
@@ -85,8 +86,8 @@ def observation_of(scene: Scene, recording: Recording, channels: tuple[str, ...]
 def residuals(scene: Scene, observation: Observation, noise: Noise) -> dict[str, Float[Array, "N m"]]:
     """Predicted minus measured over the noise, m numbers a sample, for each of `force`, `position`, `angle`.
 
-    A step's forces belong to the time of its HIP, its poses to the end of the step. What the model cannot
-    follow (overflow at absurd parameters) counts as a million standard deviations.
+    A step's forces belong to the time of its HIP, its poses to the end of the step. A recording in which the model
+    leaves the range of sense (overflow at absurd parameters) counts as `LOST` standard deviations throughout.
     """
     found = {}
     said = predicted(scene, observation)
@@ -96,11 +97,11 @@ def residuals(scene: Scene, observation: Observation, noise: Noise) -> dict[str,
         pose, measured = said["pose"], observation.pose.value
         found["position"] = (pose[..., :3] - measured[..., :3]) / noise.position
         found["angle"] = _turn_between(measured[..., 3:], pose[..., 3:]) / noise.angle
-    return {key: jnp.where(jnp.abs(r) < 1e6, r, 1e6).reshape(len(r), -1) for key, r in found.items()}
+    return {key: jnp.where(jnp.abs(r) < LOST, r, LOST).reshape(len(r), -1) for key, r in found.items()}
 
 
 def predicted(scene: Scene, observation: Observation) -> dict[str, Float[Array, "N n m"]]:
-    """What the scene says of each observed channel at the times of its samples."""
+    """What the scene says of each observed channel at the times of its samples; NaN where a step was lost."""
     state, reply = played(scene, observation.hips, observation.gimbals)
     found = {}
     if observation.force is not None:
@@ -108,7 +109,8 @@ def predicted(scene: Scene, observation: Observation) -> dict[str, Float[Array, 
     if observation.pose is not None:
         first = jnp.stack([jnp.concatenate([m.position, m.orientation]) for m in state.motion.values()])
         found["pose"] = observation.pose.between(_unflipped(jnp.concatenate([first[None], reply.pose])))
-    return found
+    lost = jnp.any(reply.lost)
+    return {key: jnp.where(lost, jnp.nan, said) for key, said in found.items()}
 
 
 def played(

@@ -40,7 +40,8 @@ class FitResult:
     `residual_rms` in N (`force`), m (`pose`) and rad (`angle`); `converged`: whether the solver met its
     tolerances, which is no evidence of a good fit: compare `starts_at_best` of `starts`; `noise`, the
     standard deviations that the residuals were divided by: `force` N, `position` m, `angle` rad; `trace`:
-    each start's loss by step.
+    each start's loss by step; `lost`, in how many recordings the model left the range of sense: they count for nothing
+    but the loss.
     """
 
     parameters: Mapping[str, Estimate]
@@ -57,6 +58,7 @@ class FitResult:
     trace: Mapping[int, Mapping[int, float]]
     recordings: tuple[Recording, ...]
     names: tuple[str, ...]
+    lost: int = 0
 
     @property
     def correlation(self) -> np.ndarray:
@@ -82,6 +84,7 @@ class FitResult:
             "starts": self.starts,
             "starts_at_best": self.starts_at_best,
             "wall_s": self.wall_s,
+            "lost": self.lost,
         }
         return _finite(figures)
 

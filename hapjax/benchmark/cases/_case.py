@@ -68,7 +68,6 @@ class Case:
     - `law()`: of the rigid law that both programs approximate, where it is not the same. MuJoCo is compared by it.
     - `rigid(scene, dt)`: the scene as stiff as dt allows, for the comparison by the law; MuJoCo's contacts are so by
       themselves. `None`: as it is.
-    - `law_measure`: what the law speaks of, where it is not what `measure` gives.
     - `known`: where the truth comes from, in words.
     - `orders`: of integrators whose order differs here.
     - `mujoco`: the model, or why there is none.
@@ -89,7 +88,6 @@ class Case:
     truth: Callable[[], np.ndarray] | None = None
     law: Callable[[], np.ndarray] | None = None
     rigid: Callable[[Scene, float], Scene] | None = None
-    law_measure: Callable[[State], Any] | None = None
     gradient: Gradient | None = None
     orders: Mapping[str, Order] = field(default_factory=dict)
 

@@ -113,8 +113,8 @@ HOLD = Case(
 # A step in load ---------------------------------------------------------------------------------------------
 
 THREE = np.array([[-1, 0.02, 0], [-1, -0.02, 0], [1, 0, 0]]) * [SIZE[0] / 2, 1, 1]
-PRESS = np.array([2e-3, 2e-3, 4e-3])  # m: the third finger holds against the other two
-HEAVIER, TIME = 1.5, 0.4  # times g from half time on, s
+PRESS = np.array([4e-3, 4e-3, 8e-3])  # m: the third finger holds against the other two
+YIELDING, HEAVIER, TIME = 400.0, 1.5, 0.3  # N/m, times g from half time on, s
 
 
 def _loaded() -> np.ndarray:
@@ -122,7 +122,7 @@ def _loaded() -> np.ndarray:
     inertia = MASS * (np.sum(SIZE**2) - SIZE**2) / 12
     place = Place(np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3))
     for load in (1.0, HEAVIER):
-        held = Held(MASS, inertia, THREE, STIFFNESS, lambda t: fingers, np.array([0, 0, -load * G]))
+        held = Held(MASS, inertia, THREE, YIELDING, lambda t: fingers, np.array([0, 0, -load * G]))
         place = solve(held, place, TIME / 2)
     return place.position
 
@@ -140,7 +140,7 @@ def _springs() -> str:
     place = "".join(f'<site name="f{i}" pos="{f[0]} {f[1]} {f[2]}"/>' for i, (f, _) in enumerate(pairs))
     own = "".join(f'<site name="g{i}" pos="{g[0]} {g[1]} {g[2]}"/>' for i, (_, g) in enumerate(pairs))
     springs = "".join(
-        f'<spatial stiffness="{STIFFNESS}" springlength="0"><site site="f{i}"/><site site="g{i}"/></spatial>'
+        f'<spatial stiffness="{YIELDING}" springlength="0"><site site="f{i}"/><site site="g{i}"/></spatial>'
         for i in range(3)
     )
     half = " ".join(str(x / 2) for x in SIZE)
@@ -153,7 +153,7 @@ LOAD_STEP = Case(
     title="block held by three fingers, its load growing by half",
     unit="m",
     seconds=TIME,
-    scene=lambda integrator: _scene(integrator, Surface(STIFFNESS, mu=5.0)),
+    scene=lambda integrator: _scene(integrator, Surface(YIELDING, mu=5.0)),
     hip=_hips(THREE, PRESS),
     change=_heavier,
     measure=lambda state: state.motion["block"].position,

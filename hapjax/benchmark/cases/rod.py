@@ -12,7 +12,7 @@ from ...torsion import GravityDrop
 from ._case import Case, G, Mujoco
 from ._springs import Held, Place, solve
 
-MASS, LENGTH, WIDTH, STIFFNESS, DEPTH = 0.05, 0.3, 0.02, 3000.0, 3e-3
+MASS, LENGTH, WIDTH, STIFFNESS, MU, DEPTH = 0.05, 0.3, 0.02, 600.0, 2.0, 3e-3
 GRASP = -0.14  # m, from the rod's middle along it
 REACH, BEAT, SECONDS = 0.01, 2 * np.pi * 1.2, 1.0  # m and rad/s of the hand
 SIZE = np.array([LENGTH, WIDTH, WIDTH])
@@ -25,7 +25,7 @@ _DOWN = np.array([0, 0, -G])
 
 def _rod(integrator, torsion=None) -> Scene:
     return Scene(
-        {"rod": Object(Box(SIZE), Surface(STIFFNESS, mu=1.0), Body(MASS))},
+        {"rod": Object(Box(SIZE), Surface(STIFFNESS, mu=MU), Body(MASS))},
         torsion=torsion,
         world=World(gravity=_DOWN, gyroscopic=True),
         integrator=integrator,
@@ -90,7 +90,7 @@ ROD = Case(
 # The same rod, gripped softly: gravity drop ------------------------------------------------------------------
 
 SHARE, LOSS, TIME = 0.5, 2e-4, 0.6  # of the torque about the grip's line; N m s/rad; s
-CRITICAL = np.pi * DEPTH**2 / (1 - SHARE)  # m^2, mu being 1
+CRITICAL = np.pi * (MU * DEPTH) ** 2 / (1 - SHARE)  # m^2
 
 
 def _dropped() -> np.ndarray:
