@@ -179,10 +179,8 @@ def curve(
         if points and sweep.is_too_long(points[-1], steps):
             break
         around = neighbours(steps, sweep.around)
-        runs = [program.run(n)[:2] for n in around]
-        laws = (
-            [program.run(n, rigid=True)[1] for n in around] if case.rigid else [of_law for _, of_law in runs]
-        )
+        values = [program.run(n)[0] for n in around]
+        laws = [program.run(n, rigid=True)[0] for n in around] if case.rigid else values
         slopes = None if slope is None else [_off(slope(n), case) for n in around]
         points.append(
             Point(
