@@ -47,7 +47,8 @@ def dropped_cube(method: str, numbers: Numbers) -> Start:
     mass, stiffness = numbers["mass"], numbers["stiffness"]
     turn = _tilt(mass.dtype)
     lowest = jnp.min(rotation.turn(rotation.to_matrix(turn), _corners(mass.dtype))[:, 2])
-    moments = jnp.stack([jnp.ones_like(mass), jnp.ones_like(mass), 1 / numbers["inertia_ratio"]])
+    # The small one is about a horizontal axis, about which the cube then rocks.
+    moments = jnp.stack([1 / numbers["inertia_ratio"], jnp.ones_like(mass), jnp.ones_like(mass)])
     body = Body(mass, inertia=mass * (SIDE**2 / 6) * moments)
     place = _up(numbers["gap"] - lowest)
     cube = Object(Box((SIDE,) * 3), body=body, position=place, orientation=turn)
