@@ -14,8 +14,8 @@ from hapjax import InputError, Recording, Scene, cast
 
 from .breakaway import between, broken_away, is_static
 from .grip import cost_of_grip, holding_instead, is_needed, largest_ratio, raised, slipping_instead
-from .noise import lost, noise_of, spread_of
-from .observation import CHANNELS
+from .noise import noise_of, spread_of
+from .observation import CHANNELS, LOST
 from .parameters import Parameter, Selector, free_parameters
 from .problem import NOTICEABLE, Problem, channels_of, grouped, stacked_residuals
 from .progress import following
@@ -75,20 +75,43 @@ def fit(
     _check_numbers(starts, spread, seed, max_steps)
     scene = cast(scene, jnp.result_type(float))
     parameters = free_parameters(scene, free, bounds)
-    groups = grouped(scene, recordings, channels, names)
-    problem = Problem(scene, groups, noise_of(recordings, noise, scene.integrator.dt.dtype), parameters)
-    _check_count(problem)
-
-    trace = Trace()
+    kept, trace = list(range(len(recordings))), Trace()
     with following(trace, starts, max_steps) if progress else listen(trace):
-        ends = _search(problem, problem.start(), starts, spread, seed, max_steps)
-        for _ in range(_MOST_SEARCHES - 1):
-            better = _better(problem, ends)
-            if better is None:
+        while True:
+            used, called = [recordings[i] for i in kept], [names[i] for i in kept]
+            groups = grouped(scene, used, channels, called)
+            problem = Problem(scene, groups, noise_of(used, noise, scene.integrator.dt.dtype), parameters)
+            _check_count(problem)
+            ends = _searches(problem, starts, spread, seed, max_steps)
+            lost = _lost(problem, ends)
+            if not 0 < len(lost) < len(kept):
                 break
-            more = _search(problem, better, starts, spread, seed, max_steps, begun=len(ends.loss))
-            ends = ends.joined(more)
-    return _result(problem, ends, trace, recordings, names, time.perf_counter() - began, noise)
+            kept = [place for i, place in enumerate(kept) if i not in lost]
+    missing = len(recordings) - len(kept) + len(lost)
+    return _result(problem, ends, trace, used, called, time.perf_counter() - began, noise, missing)
+
+
+def _searches(problem: Problem, starts: int, spread: float, seed: int, max_steps: int) -> Solutions:
+    """Solve, and again from where a better place may be that gradients do not lead to."""
+    ends = _search(problem, problem.start(), starts, spread, seed, max_steps)
+    for _ in range(_MOST_SEARCHES - 1):
+        better = _better(problem, ends)
+        if better is None:
+            break
+        more = _search(problem, better, starts, spread, seed, max_steps, begun=len(ends.loss))
+        ends = ends.joined(more)
+    return ends
+
+
+def _lost(problem: Problem, ends: Solutions) -> set[int]:
+    """The places of the recordings in which the model leaves the range of sense at the best numbers."""
+    found, channels = set(), channels_of(ends.residuals, ends.free[ends.best], problem)
+    for group in problem.groups:
+        width = (group.force is not None) + 2 * (group.pose is not None)
+        (_, first), channels = channels[0], channels[width:]
+        lost = np.all(np.asarray(first) >= LOST, axis=(1, 2))
+        found |= set(np.asarray(group.place)[lost].tolist())
+    return found
 
 
 def _search(problem: Problem, first: Array, starts, spread, seed, max_steps, begun: int = 0) -> Solutions:
@@ -135,6 +158,7 @@ def _result(
     names: Sequence[str],
     wall_s: float,
     given_noise: Mapping[str, float] | None,
+    lost: int,
 ) -> FitResult:
     best = ends.best
     free = ends.free[best]
@@ -171,17 +195,8 @@ def _result(
         trace=trace.losses,
         recordings=tuple(recordings),
         names=tuple(names),
-        lost=_count_lost(problem, channels),
+        lost=lost,
     )
-
-
-def _count_lost(problem: Problem, channels: Sequence[tuple[str, Any]]) -> int:
-    """How many recordings the model lost: each group's channels are lost together."""
-    found = 0
-    for group in problem.groups:
-        width = (group.force is not None) + 2 * (group.pose is not None)
-        found, channels = found + int(np.sum(lost(channels[0][1]))), channels[width:]
-    return found
 
 
 def _estimate(parameter: Parameter, free: Array, known: Certainty, i: int) -> Estimate:

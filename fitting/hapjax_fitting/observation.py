@@ -34,13 +34,14 @@ class Observation(eqx.Module):
     samples.
 
     `hips` (T, F, 3) m at intervals of the integrator's dt; `force` (N, F, 3) N; `pose` (N, O, 7); `gimbals` (T, F) rad,
-    where the scene's torsion reads them.
+    where the scene's torsion reads them; `place`, which of the recordings it is.
     """
 
     hips: Float[Array, "*r T F 3"]
     force: Samples | None
     pose: Samples | None
     gimbals: Float[Array, "*r T F"] | None = None
+    place: Int[Array, "*r"] = eqx.field(default_factory=lambda: jnp.zeros((), jnp.int32))
 
 
 class Noise(eqx.Module):

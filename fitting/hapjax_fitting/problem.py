@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -51,8 +52,8 @@ def grouped(
     """Observations of equal sizes stacked along a first axis. **Raises:** `InputError` as
     `observation_of`."""
     groups: dict[object, list[Observation]] = {}
-    for recording, name in zip(recordings, names, strict=True):
-        laid = observation_of(scene, recording, channels, name)
+    for place, (recording, name) in enumerate(zip(recordings, names, strict=True)):
+        laid = replace(observation_of(scene, recording, channels, name), place=jnp.asarray(place, jnp.int32))
         leaves, structure = jax.tree.flatten(laid)
         groups.setdefault((structure, tuple(x.shape for x in leaves)), []).append(laid)
     return tuple(jax.tree.map(lambda *x: jnp.stack(x), *group) for group in groups.values())

@@ -40,8 +40,8 @@ class FitResult:
     `residual_rms` in N (`force`), m (`pose`) and rad (`angle`); `converged`: whether the solver met its
     tolerances, which is no evidence of a good fit: compare `starts_at_best` of `starts`; `noise`, the
     standard deviations that the residuals were divided by: `force` N, `position` m, `angle` rad; `trace`:
-    each start's loss by step; `lost`, in how many recordings the model left the range of sense: they count for nothing
-    but the loss.
+    each start's loss by step; `lost`, in how many recordings the model left the range of sense: they were dropped, and the
+    fit is that of the others, which `recordings` holds.
     """
 
     parameters: Mapping[str, Estimate]

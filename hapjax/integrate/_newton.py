@@ -21,7 +21,7 @@ class Balance(eqx.Module):
 
     mass: Float[Array, "D D"]
     free: Float[Array, "D"]
-    slips: Float[Array, "N*3 D"]
+    slips: Float[Array, "R D"]
     force: Callable[[Float[Array, "N 3"]], Float[Array, "N 3"]]
     dt: Float[Array, ""]
 
