@@ -33,7 +33,8 @@ BASE_CASE = (
     "with its lowest corner 10 mm above a floor of k = 10 kN/m a corner, mu = 0.5, c = 1 s/m, gravity 9.81 m/s^2. Spin is "
     "about the vertical. A mass ratio is that of a cube of 30 mm dropped on one of 40 mm that stands on the floor, their "
     "geometric mean 50 g. An inertia ratio of r makes the moment about one horizontal axis smaller by r. Dashed: the time "
-    "step 2 / w of the fastest swing on a face, w^2 = 6 k / m, times the inertia ratio, beyond which no explicit integrator is stable."
+    "step 2 / w of the fastest swing on a face, w^2 = 6 k / m, times the inertia ratio, beyond which no explicit "
+    "integrator is stable."
 )
 LOOP = (
     "A device of mass m and damping b is pressed with 1 N on a wall that hapjax steps at the rate, on positions that "
