@@ -128,19 +128,14 @@ def _live(build: Callable[[Numbers], Start], numbers: Numbers, dt: Float[Array, 
         state, loud, peak, broken = carry
         state, reply = step(scene, state, hip, dt, gimbal)
         noise = jnp.max(jnp.stack([_noise(scene, state, name) for name in state.motion]))
-        loud = jnp.where(noise < QUIET, loud, i + 1)  # NaN is not quiet
+        loud = jnp.where(noise < QUIET, loud, i + 1)
         energy = _energy(scene, state, heights)
-        return state, loud, jnp.maximum(peak, energy), broken | ~jnp.isfinite(energy) | _failed(reply)
+        return state, loud, jnp.maximum(peak, energy), broken | reply.lost
 
     start = (state, jnp.zeros((), jnp.int32), jnp.zeros_like(dt), jnp.zeros((), bool))
     state, loud, peak, broken = jax.lax.fori_loop(0, count, body, start)
     lost = _energy(scene, state, None) > WILD * scale  # still falling, at the end
     return loud, peak / scale, broken | lost | (peak > WILD * scale)
-
-
-def _failed(reply) -> Any:
-    status = getattr(reply, "status", None)
-    return False if status is None else jnp.any(status != 0)
 
 
 def _noise(scene: Scene, state: State, name: str) -> Float[Array, ""]:

@@ -25,7 +25,7 @@ img{max-width:100%}h2{margin-top:2em}"""
 WHAT = (
     f"A cell is settled if over the last {SECONDS - LATEST:.1f} s of {SECONDS:g} s the energy of the normal motion and that "
     f"of the tilt stay under {QUIET:g} m g L, blown up if the energy of its motion and height ever is above {WILD:g} "
-    "times that of the start plus m g L, or ends there while it falls, or is no number; ringing otherwise. L is the "
+    "times that of the start plus m g L, or ends there while it falls, or a step was lost; ringing otherwise. L is the "
     "object's size."
 )
 BASE_CASE = (
