@@ -69,7 +69,11 @@ def dropped_stack(method: str, numbers: Numbers) -> Start:
     lower = Object(Box((SIDE,) * 3), body=Body(mass / root), position=(0.0, 0.0, SIDE / 2))
     upper = Object(Box((small * SIDE,) * 3), body=Body(mass * root), position=place, orientation=turn)
     pair = partial(Contact, stiffness, mu=numbers["mu"], damping=DAMPING)
-    contacts = {"on_floor": pair(between=("lower", "floor")), "on_lower": pair(between=("upper", "lower"))}
+    contacts = {
+        "on_floor": pair(between=("lower", "floor")),
+        "on_lower": pair(between=("upper", "lower")),
+        "fallen": pair(between=("upper", "floor")),  # a light cube may be knocked out from under a heavy one
+    }
     objects = {"lower": lower, "upper": upper, "floor": Object(Plane())}
     return _begin(objects, contacts, method, numbers)
 
