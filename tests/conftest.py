@@ -4,8 +4,9 @@ import os
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-# The suite compiles far more than it runs, and XLA's older code generator compiles in about half the time.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+# The suite compiles far more than it runs: XLA's older code generator, without optimisation, compiles in about half the
+# time. What runs for long asks for more: see `well_compiled` in tests/helpers.py.
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
 
 import hypothesis  # noqa: E402
 import jax  # noqa: E402

@@ -14,6 +14,7 @@ from scipy.optimize import lsq_linear
 import hapjax
 from hapjax import rotation
 from hapjax.shape import _grid
+from helpers import well_compiled
 from meshes import TILT, distance, entries, icosphere, inside, notched, torus
 from test_structure import equations
 
@@ -36,7 +37,7 @@ def closest(shape, queries):
     return jax.lax.map(shape.closest, queries, batch_size=500)
 
 
-@jax.jit
+@well_compiled
 def followed(shape, ways):
     """The surface points at the end of each way (n, points, 3) m, and those of a follow from its point before last."""
 
