@@ -17,9 +17,9 @@ class Corner(eqx.Module):
     part have the weight 0. `faces` are their faces.
     """
 
-    normals: Float[Array, "n 3"]
-    weights: Float[Array, "n"]
-    faces: Int[Array, "n"]
+    normals: Float[Array, "*n c 3"]
+    weights: Float[Array, "*n c"]
+    faces: Int[Array, "*n c"]
 
 
 class SurfacePoint(eqx.Module):
@@ -29,10 +29,10 @@ class SurfacePoint(eqx.Module):
     own. `corner` is `None` on a shape that has no concave corners.
     """
 
-    point: Float[Array, "3"]
-    normal: Float[Array, "3"]
-    depth: Float[Array, ""]
-    face: Int[Array, ""]
+    point: Float[Array, "*n 3"]
+    normal: Float[Array, "*n 3"]
+    depth: Float[Array, "*n"]
+    face: Int[Array, "*n"]
     corner: Corner | None = None
 
 
