@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 from tyro import _errors as parse_errors
-from tyro.conf import Positional
+from tyro.conf import FlagCreatePairsOff, Positional
 
 from .errors import InputError, within
 from .extras import need
@@ -134,7 +134,7 @@ def benchmark(
     integrators: tuple[str, ...] = (),
     maps: tuple[str, ...] = (),
     rate: float = 1000.0,
-    quick: bool = False,
+    quick: FlagCreatePairsOff[bool] = False,
     cases: tuple[str, ...] = (),
     hip: Path | None = None,
     error: float = 1e-4,

@@ -353,7 +353,7 @@ def test_a_report_is_whole(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_users_scene_ends_with_a_recommendation(tmp_path, capsys):
-    hapjax.save_scene(cube(), tmp_path / "cube.toml")
+    hapjax.save_scene(cube(world=hapjax.World()), tmp_path / "cube.toml")  # nothing to stand on
     hips = error_scene.operator(cube(), 2, 1000.0)[:400]
     hapjax.Recording(hip=hips, hip_t=np.arange(400) / 1000).save(tmp_path / "lift.npz")
     options = ["--integrators", "semi_implicit", "--rate", "500", "--error", "1e-3"]
