@@ -1,0 +1,222 @@
+"""The fully implicit step: it settles whatever the stiffness and the step, and is right where they are small."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hapjax
+from hapjax.integrate import METHODS
+from helpers import G, away, moving, order, quaternion
+
+EDGE = 0.04
+WORLD = hapjax.World(gravity=(0, 0, -G))
+
+
+def cube_on_floor(stiffness=1e4, mu=0.5, damping: float | None = 2.0, mass=0.05, tilt=None, height=0.06):
+    """A cube above a plane that can be tilted about y (rad)."""
+    turn = (1, 0, 0, 0) if tilt is None else quaternion((0, 1, 0), tilt)
+    cube = hapjax.Object(hapjax.Box((EDGE,) * 3), None, hapjax.Body(mass), (0, 0, height), turn)
+    floor = hapjax.Object(hapjax.Plane(), orientation=turn)
+    pair = hapjax.Contact(stiffness, mu=mu, damping=damping, between=("cube", "floor"))
+    return hapjax.Scene(
+        {"cube": cube, "floor": floor}, {"pair": pair}, world=WORLD, integrator=hapjax.Implicit()
+    )
+
+
+@jax.jit
+def after(scene, state, steps):
+    """The state after a number of steps with the fingers out of reach."""
+    far = away(1)[0].astype(scene.integrator.dt.dtype)
+    return jax.lax.fori_loop(0, steps, lambda _, s: hapjax.step(scene, s, far)[0], state)
+
+
+# Stability ------------------------------------------------------------------------------------------------
+
+TURNED = hapjax.rotation.normalise(jnp.array([1.0, 0.3, 0.2, 0.1]))
+
+
+@jax.jit
+def fallen(stiffness, dt, mass, mu, steps):
+    """Energy of motion (J per kg) and depth (m) of a tilted cube, dropped, after a number of steps."""
+    scene = cube_on_floor()
+    where = lambda s: (  # noqa: E731
+        s.contact["pair"].stiffness,
+        s.integrator.dt,
+        s.object["cube"].body.mass,
+        s.contact["pair"].mu,
+        s.object["cube"].orientation,
+    )
+    scene = eqx.tree_at(where, scene, (stiffness, dt, mass, mu, TURNED))
+    far = away(1)[0]
+    end = after(scene, hapjax.init(scene, far), steps).motion["cube"]
+    # The radius of gyration of a cube is a / sqrt(6).
+    return (jnp.sum(end.velocity**2) + EDGE**2 / 6 * jnp.sum(end.spin**2)) / 2, EDGE / 2 - end.position[2]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dt", [2e-2, 5e-3, 1e-3])
+def test_it_settles_for_every_stiffness_step_mass_and_mu(dt):
+    cells = np.array(
+        [(10.0**k, m, mu) for k in range(2, 9) for m in (1e-3, 0.05, 10.0) for mu in (0.0, 0.5, 2.0, 10.0)]
+    )
+    k, m, mu = jnp.asarray(cells).T
+    each = jax.vmap(fallen, in_axes=(0, None, 0, 0, None))
+    energy, depth = each(k, jnp.asarray(dt), m, mu, round(2 / dt))
+    fell = G * (0.06 - EDGE / 2)
+    assert np.all(np.asarray(energy) < 1e-4 * fell), cells[~(np.asarray(energy) < 1e-4 * fell)]
+    # Where four corners' springs carry the weight within a tenth of the cube, it lies flat on them.
+    sunk = np.asarray(m * G / (4 * k))
+    flat = sunk < EDGE / 10
+    np.testing.assert_allclose(np.asarray(depth)[flat], sunk[flat], rtol=1e-2, atol=1e-9)
+
+
+def test_it_settles_where_explicit_steps_blow_up():
+    energy, depth = fallen(jnp.asarray(1e8), jnp.asarray(2e-2), jnp.asarray(0.05), jnp.asarray(0.5), 100)
+    assert energy < 1e-20
+    np.testing.assert_allclose(depth, 0.05 * G / 4e8, rtol=1e-4)
+
+
+# Accuracy -------------------------------------------------------------------------------------------------
+
+
+def test_a_block_slides_to_a_stop_as_it_should_at_first_order():
+    speed, mu = 0.5, 0.4
+    ends, steps = [], [4e-3, 2e-3, 1e-3]
+    for dt in steps:
+        scene = cube_on_floor(1e5, mu, height=EDGE / 2 - 0.05 * G / 4e5)
+        scene = dataclasses.replace(scene, integrator=hapjax.Implicit(dt=dt))
+        start = moving(hapjax.init(scene, away(1)[0]), "cube", velocity=(speed, 0, 0))
+        ends.append(after(scene, start, round(0.4 / dt)).motion["cube"])
+    errors = [abs(float(e.position[0]) - speed**2 / (2 * mu * G)) for e in ends]
+    assert errors[-1] < 1e-3
+    assert order(steps, errors) == pytest.approx(1, abs=0.2)
+    assert np.linalg.norm(ends[-1].velocity) < 1e-9
+
+
+def test_a_block_on_an_incline_holds_just_below_the_cone_and_slides_just_above():
+    mu = 0.5
+    for share, slides in ((0.99, False), (1.01, True)):
+        tilt = np.arctan(share * mu)
+        scene = cube_on_floor(1e5, mu, tilt=tilt)
+        normal = np.array([np.sin(tilt), 0, np.cos(tilt)])
+        state = hapjax.init(scene, away(1)[0])
+        state = moving(state, "cube", position=(EDGE / 2 - 0.05 * G * np.cos(tilt) / 4e5) * normal)
+        begun = after(scene, state, 500).motion["cube"]
+        end = after(scene, state, 1500).motion["cube"]
+        way = np.linalg.norm(end.position - begun.position)
+        if slides:  # the block gathers speed with a = g (sin - mu cos)
+            gain = np.linalg.norm(end.velocity) - np.linalg.norm(begun.velocity)
+            assert gain == pytest.approx(G * (np.sin(tilt) - mu * np.cos(tilt)), rel=1e-3)
+        else:
+            assert way < 1e-12
+
+
+def test_friction_is_within_the_cone_of_the_step_before():
+    scene = cube_on_floor(2e3, 0.3, tilt=0.2, height=0.03)
+    state = moving(hapjax.init(scene, away(1)[0]), "cube", velocity=(0.3, 0.1, 0), spin=(1, 2, 3))
+    _, reply = hapjax.rollout(scene, state, away(400))
+    touch = reply.contact["pair"]
+    size = np.linalg.norm(touch.friction_force, axis=-1)
+    assert size.max() > 0.01
+    depth = np.asarray(touch.normal_force)
+    assert np.all(size[1:] <= 0.3 * depth[:-1] * 1.5 + 1e-12)  # the loss is read at the velocity of now
+
+
+def test_two_boxes_that_collide_keep_their_momentum():
+    box = hapjax.Object(hapjax.Box((EDGE,) * 3), None, hapjax.Body(0.05), (0, 0, 0))
+    other = hapjax.Object(hapjax.Box((0.05, 0.06, 0.04)), None, hapjax.Body(0.2), (0.06, 0.012, 0.008))
+    pair = hapjax.Contact(1e7, mu=0.5, damping=0.5, between=("a", "b"))
+    scene = hapjax.Scene({"a": box, "b": other}, {"pair": pair}, integrator=hapjax.Implicit())
+    start = moving(hapjax.init(scene, away(1)[0]), "a", velocity=(1.0, 0.1, 0.0))
+    end = after(scene, start, 100)
+    assert end.motion["b"].velocity[0] > 0.05
+    momentum = 0.05 * end.motion["a"].velocity + 0.2 * end.motion["b"].velocity
+    np.testing.assert_allclose(momentum, [0.05, 0.005, 0.0], atol=1e-12)
+
+
+# Derivatives ----------------------------------------------------------------------------------------------
+
+
+def stacked():
+    """Two cubes, one on the other, and a gentle pull to the side that friction holds."""
+    low = hapjax.Object(hapjax.Box((0.05,) * 3), None, hapjax.Body(0.1), (0, 0, 0.0249))
+    high = hapjax.Object(hapjax.Box((EDGE,) * 3), None, hapjax.Body(0.05), (0.001, 0, 0.0698))
+    return hapjax.Scene(
+        {"low": low, "cube": high, "floor": hapjax.Object(hapjax.Plane())},
+        {
+            "first": hapjax.Contact(1e4, mu=0.5, damping=2.0, between=("low", "floor")),
+            "second": hapjax.Contact(8e3, mu=0.4, damping=2.0, between=("cube", "low")),
+        },
+        world=hapjax.World(gravity=(0.5, 0, -G)),
+        integrator=hapjax.Implicit(),
+    )
+
+
+GRADIENTS = {
+    "stick": (lambda: cube_on_floor(5e3, 0.6, tilt=0.3, height=0.0195), (0.0, 0.0, 0.0)),
+    "slip": (lambda: cube_on_floor(5e3, 0.3, height=0.0199), (0.4, 0.2, 0.0)),
+    "stacking": (stacked, (0.0, 0.0, 0.0)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", GRADIENTS)
+def test_gradients_are_those_of_differences(case):
+    build, velocity = GRADIENTS[case]
+    scene = build()
+    chosen = lambda s: [  # noqa: E731
+        *(x for pair in s.contact.values() for x in (pair.stiffness, pair.mu, pair.damping)),
+        *(s.object["cube"].body.mass, s.world.gravity, s.integrator.dt),
+    ]
+    flat, unravel = jax.flatten_util.ravel_pytree(chosen(scene))
+
+    def f(x):
+        now = eqx.tree_at(chosen, scene, unravel(flat * (1 + x)))
+        start = moving(hapjax.init(now, away(1)[0]), "cube", velocity=velocity)
+        end, replies = hapjax.rollout(now, start, away(40))
+        forces = sum(
+            jnp.sum(touch.force[-1] * jnp.arange(1.0, 4.0)[None]) for touch in replies.contact.values()
+        )
+        motion = end.motion["cube"]
+        return jnp.concatenate([10 * motion.position, motion.velocity, motion.spin / 10, forces[None]])
+
+    x = jnp.zeros_like(flat)
+    forward, reverse = (np.asarray(jax.jit(jac(f))(x)) for jac in (jax.jacfwd, jax.jacrev))
+    scale = np.abs(forward).max()
+    np.testing.assert_allclose(forward, reverse, atol=1e-9 * scale)
+    batch = jax.jit(jax.vmap(f))
+    found = []
+    for step in (1e-4, 1e-5, 1e-6):
+        offsets = step * np.array([-2, -1, 1, 2])[:, None, None] * np.eye(len(flat))
+        values = np.asarray(batch(jnp.asarray(offsets.reshape(-1, len(flat))))).reshape(4, len(flat), -1)
+        found.append(np.tensordot(np.array([1, -8, 8, -1]) / (12 * step), values, axes=1).T)
+    off = np.min([np.abs(forward - numeric) for numeric in found], axis=0)
+    assert off.max() < 1e-5 * scale
+
+
+# A grasp at rest ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_held_object_does_not_creep(method, tilt):
+    """Under 1 um in 60 s, on whichever side gravity pulls."""
+    surface = hapjax.Surface(800.0, mu=0.8, damping=1.0)
+    cube = hapjax.Object(hapjax.Box((0.06,) * 3), surface, hapjax.Body(0.1))
+    world = hapjax.World(gravity=(G * np.sin(tilt), 0, -G * np.cos(tilt)))
+    scene = hapjax.Scene({"cube": cube}, world=world, integrator=METHODS[method]())
+    hip = jnp.array([[0.0275, 0.0, 0.0], [-0.0285, 0.01, 0.0], [-0.0285, -0.01, 0.0]])
+
+    @jax.jit
+    def hold(state, steps):
+        return jax.lax.fori_loop(0, steps, lambda _, s: hapjax.step(scene, s, hip)[0], state)
+
+    settled = hold(hapjax.init(scene, hip), 5000)
+    end = hold(settled, 60_000)
+    assert np.abs(settled.motion["cube"].position).max() < 5e-3  # it is held, and has not fallen
+    assert np.linalg.norm(end.motion["cube"].position - settled.motion["cube"].position) < 1e-6
