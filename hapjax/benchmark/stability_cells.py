@@ -70,9 +70,9 @@ def dropped_stack(method: str, numbers: Numbers) -> Start:
     upper = Object(Box((small * SIDE,) * 3), body=Body(mass * root), position=place, orientation=turn)
     pair = partial(Contact, stiffness, mu=numbers["mu"], damping=DAMPING)
     contacts = {
+        "fallen": pair(between=("upper", "floor")),  # a light cube may be knocked out from under a heavy one
         "on_floor": pair(between=("lower", "floor")),
         "on_lower": pair(between=("upper", "lower")),
-        "fallen": pair(between=("upper", "floor")),  # a light cube may be knocked out from under a heavy one
     }
     objects = {"lower": lower, "upper": upper, "floor": Object(Plane())}
     return _begin(objects, contacts, method, numbers)
