@@ -97,9 +97,10 @@ class Link(eqx.Module):
         return link._with(near=near, offset=offset - moved, grip=grip)
 
     def grip(self) -> Grip:
-        """The normal forces of the step before, at the velocity of now."""
+        """The normal forces of the step before, at the velocity of now; of points that are new here, those of now."""
         surface, velocity = self.meeting.surface, self.meeting.velocity
-        spring = surface.stiffness * jnp.maximum(self.before, 0)
+        depth = jnp.where(self.before > 0, self.before, jnp.maximum(self.meeting.near.depth, 0))
+        spring = surface.stiffness * depth
         if surface.damping is None or velocity is None:
             return Grip(spring, spring)
         deepening = -jnp.sum(self.meeting.near.normal * velocity, axis=-1)

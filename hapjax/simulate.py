@@ -167,58 +167,62 @@ def _substep(
         for name in scene.touchable()
     }
     pairs_of = {name: _contacts(scene, state, motions, placed, name, dt) for name in scene.contact}
-    (fingers, pairs_of), foreseen = scene.integrator.foresee(
-        (fingers, pairs_of), _bodies(scene, placed, motions), dt
-    )
-    pressed = {name: god_object.press(link.meeting, dt) for name, link in fingers.items()}
-    gods = OrderedDict((name, link.keep(pressed[name])) for name, link in fingers.items())
+    bodies = _bodies(scene, placed, motions, centres)
+    (fingers, pairs_of), foreseen = scene.integrator.foresee((fingers, pairs_of), bodies, dt)
 
-    wrenches: dict[str, Wrench] = {}
-    holds: dict[str, Held] = {}
-    for name in motions:
-        if name in fingers:
-            found = fingers[name].wrenches(pressed[name], centres)[name]
-            wrenches[name], holds[name] = _grasp(
-                scene,
-                state,
-                motions[name],
-                fingers[name],
-                gods[name],
-                pressed[name].touch,
-                found,
-                turning,
-                dt,
-            )
-            if foreseen is not None:  # what torsion changes is all that is left to do
-                wrenches[name] = jax.tree.map(jnp.subtract, wrenches[name], found)
-    contacts: dict[str, tuple[GodObject, ...]] = OrderedDict()
-    collisions: dict[str, Touch] = OrderedDict()
-    for name, links in pairs_of.items():
-        answers = [god_object.press(link.meeting, dt) for link in links]
-        contacts[name] = tuple(link.keep(answer) for link, answer in zip(links, answers, strict=True))
-        collisions[name] = jax.tree.map(lambda *x: jnp.concatenate(x), *(a.touch for a in answers))
-        if foreseen is None:
-            for link, answer in zip(links, answers, strict=True):
-                wrenches = join(wrenches, link.wrenches(answer, centres))
+    felt = {name: god_object.press(link.meeting, dt) for name, link in fingers.items()}
+    gods = OrderedDict((name, link.keep(felt[name])) for name, link in fingers.items())
+    answers = {
+        name: [god_object.press(link.meeting, dt) for link in found] for name, found in pairs_of.items()
+    }
+    grasped = {name: fingers[name].wrenches(felt[name], centres)[name] for name in motions if name in fingers}
+    held = {
+        name: _grasp(
+            scene, state, motions[name], fingers[name], gods[name], felt[name].touch, wrench, turning, dt
+        )
+        for name, wrench in grasped.items()
+    }
+    if foreseen is None:
+        pushes = {name: Wrench(grasped[name].force, found.torque) for name, found in held.items()}
+        for name, found in pairs_of.items():
+            for link, answer in zip(found, answers[name], strict=True):
+                pushes = join(pushes, link.wrenches(answer, centres))
+    else:  # what torsion changes is all that is left to do
+        pushes = {
+            name: Wrench(jnp.zeros_like(found.torque), found.torque - grasped[name].torque)
+            for name, found in held.items()
+        }
 
     after = OrderedDict()
     for name, motion in (motions if foreseen is None else foreseen).items():
-        wrench = wrenches.get(name, Wrench(jnp.zeros_like(hip[0]), jnp.zeros_like(hip[0])))
-        pivot = None
+        push = pushes.get(name, Wrench(jnp.zeros_like(hip[0]), jnp.zeros_like(hip[0])))
+        twist, pivot = held[name].twist if name in held else None, None
         if scene.integrator.needs_pivot and name in gods:
             points = placed[name].to_world(gods[name].point)
             pivot = grasp.pivot(points, gods[name].depth > 0, centres[name])
-        twist = holds[name].twist if name in holds else None
-        after[name] = _move(scene, motion, name, wrench, twist, dt, pivot, foreseen is not None)
+        after[name] = _move(scene, motion, name, push, twist, dt, pivot, foreseen is not None)
+    contacts = OrderedDict(
+        (name, tuple(link.keep(answer) for link, answer in zip(found, answers[name], strict=True)))
+        for name, found in pairs_of.items()
+    )
+    angles = OrderedDict((name, found.angle) for name, found in held.items() if found.angle is not None)
+    kept = State(None if state.hip is None else hip, after, gods, contacts, angles, state.gimbal)
+    return _in_sense(state, kept, _reply(hip, after, fingers, felt, answers))
+
+
+def _reply(hip, after: dict[str, Motion], fingers: dict[str, Link], felt, answers) -> Reply:
+    """What the touches of a step say."""
     force = jnp.zeros_like(hip)
     for name, link in fingers.items():
-        force = force + rotation.turn(link.matrix, pressed[name].touch.force)
+        force = force + rotation.turn(link.matrix, felt[name].touch.force)
     pose = [jnp.concatenate([m.position, m.orientation]) for m in after.values()]
     poses = jnp.stack(pose) if pose else jnp.zeros((0, 7), hip.dtype)
-    angles = OrderedDict((name, held.angle) for name, held in holds.items() if held.angle is not None)
-    kept = State(None if state.hip is None else hip, after, gods, contacts, angles, state.gimbal)
-    touches = OrderedDict((name, answer.touch) for name, answer in pressed.items())
-    return _in_sense(state, kept, Reply(force, poses, touches, collisions, jnp.zeros((), bool)))
+    touches = OrderedDict((name, answer.touch) for name, answer in felt.items())
+    collisions = OrderedDict(
+        (name, jax.tree.map(lambda *x: jnp.concatenate(x), *(a.touch for a in found)))
+        for name, found in answers.items()
+    )
+    return Reply(force, poses, touches, collisions, jnp.zeros((), bool))
 
 
 def _in_sense(before: State, after: State, reply: Reply) -> tuple[State, Reply]:
@@ -259,13 +263,13 @@ def _contacts(scene, state, motions, placed, name: str, dt) -> list[Link]:
     return pairs.meet(pair, state.contact[name], first, second, dt, scene.integrator.looks_ahead)
 
 
-def _bodies(scene: Scene, placed: dict[str, Placed], motions: dict[str, Motion]) -> Bodies:
+def _bodies(scene: Scene, placed: dict[str, Placed], motions: dict[str, Motion], centres) -> Bodies:
     """What an integrator that looks ahead must know of the moving objects."""
     return Bodies(
         {name: _parts(scene, name) for name in motions},
         motions,
         {name: placed[name].matrix for name in motions},
-        {name: _centre(scene, placed[name], name) for name in motions},
+        centres,
         scene.world.gravity,
         scene.world.gyroscopic,
     )
@@ -273,8 +277,8 @@ def _bodies(scene: Scene, placed: dict[str, Placed], motions: dict[str, Motion])
 
 def _grasp(
     scene, state, motion: Motion, link: Link, gods: GodObject, touch: Touch, wrench: Wrench, turning, dt
-) -> tuple[Wrench, Held]:
-    """The wrench of all fingers on a moving object, and what torsion makes of it."""
+) -> Held:
+    """What torsion and the dead band make of the fingers' wrench on a moving object."""
     held, spin = Held(wrench.torque), motion.spin
     if spin is not None and _resists(scene, motion, link.point):
         grip = Grip(
@@ -289,7 +293,7 @@ def _grasp(
         held = _torsion(scene).hold(grip, angle, wrench.torque, spin, turning, dt)
     if scene.world.dead_band is not None and motion.spin is not None:
         held = dataclasses.replace(held, torque=grasp.dead_band(held.torque, scene.world.dead_band))
-    return Wrench(wrench.force, held.torque), held
+    return held
 
 
 def _resists(scene: Scene, motion: Motion, hip: Float[Array, "F 3"]) -> bool:

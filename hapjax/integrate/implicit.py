@@ -31,7 +31,7 @@ class Implicit(SemiImplicit):
 
     with v_free the velocities without touches, M the masses and inertias, and the force of a touch that of its law `dt`
     later, its surface taken as flat in between. Friction is limited by the normal force of the step before: there is
-    none in the step of a first touch. Torsion and the dead band act on the forces that come out.
+    none in the step in which a point first reaches a surface. Torsion and the dead band act on the forces that come out.
     """
 
     looks_ahead = True
