@@ -63,6 +63,7 @@ def test_dahls_force_depends_on_the_path_alone():
 # LuGre ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_lugre_follows_its_differential_equation():
     """A slow to and fro that slides, against an ODE solver; of first order, as velocities are differences."""
     amplitude, rate, end = 3e-5, 2 * np.pi * 10, 0.25

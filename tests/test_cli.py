@@ -71,6 +71,7 @@ def test_simulate_dates_poses_at_the_end_of_the_step(tmp_path):
     np.testing.assert_allclose(answer.pose[:, 0, 2], 0.5 - 10 * 0.01**2 * n * (n + 1) / 2, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_fit_finds_what_simulate_was_given(tmp_path, stroke, capsys):
     truth = write_table(tmp_path / "truth.toml", 0.5, 1000.0)
     guess = write_table(tmp_path / "guess.toml", 0.8, 600.0)
@@ -88,6 +89,7 @@ def test_fit_finds_what_simulate_was_given(tmp_path, stroke, capsys):
     assert (report / "report.html").read_text().lower().startswith("<!doctype html>")
 
 
+@pytest.mark.slow
 def test_latency_prints_and_writes_its_figures(tmp_path, capsys):
     scene, file = write_table(tmp_path / "table.toml", 0.5, 1000.0), tmp_path / "latency.json"
     arguments = ["--scene", scene, "--fingers", "2", "--seconds", "0.2", "--json", str(file)]

@@ -190,6 +190,7 @@ def test_a_smooth_mesh_that_has_no_edges_touches_by_its_vertices(other):
     assert replies.contact["pair"].normal_force[-1].sum() > 0
 
 
+@pytest.mark.slow
 def test_damping_slows_a_box_that_slides_over_crossing_edges():
     """Held by springs alone it swings on and on; the damper at its crossings takes that away."""
     left = {}

@@ -61,6 +61,7 @@ def test_breaks_away_at_the_static_and_slides_at_the_kinetic_limit():
     assert force[-1] == pytest.approx(1.5, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_gradients_are_finite_and_agree():
     def total(mu, stiffness):
         return jnp.sum(forces(jnp.asarray(path(np.float64, 60)), jnp.asarray(LOADS), stiffness, mu) ** 2)

@@ -129,6 +129,7 @@ def test_a_world_that_is_turned_and_shifted_feels_the_same():
     assert close(there.touch, here.touch, 1e-9)
 
 
+@pytest.mark.slow
 def test_scenes_in_a_batch_are_scenes_one_by_one():
     scene, hips = lively(), fingers()
 

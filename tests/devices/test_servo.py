@@ -70,6 +70,7 @@ class Watched:
         self.close()
 
 
+@pytest.mark.slow
 def test_the_recording_replays(dtype):
     """Through rollout the recorded HIP gives the recorded forces, to the device's step, and poses."""
     scene = block(dtype)
@@ -88,6 +89,7 @@ def test_the_recording_replays(dtype):
     assert np.max(np.abs(np.asarray(reply.pose)[9::10] - recording.pose)) <= rounding
 
 
+@pytest.mark.slow
 def test_a_run_is_the_same_each_time_in_real_time_or_not():
     scene = block(jnp.float32)
     runs = [

@@ -25,6 +25,7 @@ def damper(tmp_path, name="damper.npz", **changes):
     return tmp_path / name
 
 
+@pytest.mark.slow
 def test_finds_the_numbers_of_a_damper_that_is_known(tmp_path):
     tests = dry_friction.read(damper(tmp_path))
     found, forces = dry_friction.judge(dry_friction.MODELS["Coulomb"], tests)
