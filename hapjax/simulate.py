@@ -162,11 +162,14 @@ def _substep(
     rates = {name: (motion.velocity, motion.spin) for name, motion in motions.items()}
     drive = None if state.hip is None else (hip - state.hip) / dt
 
-    fingers = {
-        name: _fingers_on(scene, state, placed[name], name, hip, drive, rates, centres)
+    # In order: an integrator that foresees takes them apart as pytrees, which would sort a dict's names.
+    fingers = OrderedDict(
+        (name, _fingers_on(scene, state, placed[name], name, hip, drive, rates, centres))
         for name in scene.touchable()
-    }
-    pairs_of = {name: _contacts(scene, state, motions, placed, name, dt) for name in scene.contact}
+    )
+    pairs_of = OrderedDict(
+        (name, _contacts(scene, state, motions, placed, name, dt)) for name in scene.contact
+    )
     bodies = _bodies(scene, placed, motions, centres)
     (fingers, pairs_of), foreseen = scene.integrator.foresee((fingers, pairs_of), bodies, dt)
 
