@@ -35,7 +35,7 @@ def of_map(one: Map, cells: Sequence[Cell]) -> bytes:
     norm = BoundaryNorm(np.arange(len(codes) + 1) - 0.5, len(codes))
     for row, dtype in zip(panels, dtypes, strict=True):
         for axes, method in zip(row, methods, strict=True):
-            table = np.zeros((len(dts), len(values)))
+            table = np.full((len(dts), len(values)), np.nan)
             for c in cells:
                 if (c.integrator, c.dtype) == (method, dtype):
                     table[dts.index(c.dt), values.index(c.value)] = codes[c.verdict]
