@@ -123,6 +123,14 @@ def test_a_faulty_surface_is_refused(change, fault):
         hapjax.Mesh(*change(*notched()))
 
 
+def test_the_smallest_area_is_that_of_the_scaled_surface():
+    vertices, triangles = notched()
+    with pytest.raises(hapjax.InputError, match="48 of the triangles have an area below 1e-12 m"):
+        hapjax.Mesh(vertices, triangles, 5e-5)
+    hapjax.Mesh(1e3 * vertices, triangles, 1e-3)
+    hapjax.Mesh(vertices * 1e-5, triangles, 1e5)
+
+
 def test_everything_that_is_wrong_is_said_at_once():
     vertices, triangles = notched()
     with pytest.raises(hapjax.InputError, match="there twice.*; .*winding.*; .*beside a hole"):

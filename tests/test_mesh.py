@@ -219,6 +219,27 @@ def test_a_tiny_triangle_is_felt():
     np.testing.assert_allclose(held.depth[-1], 2e-3, rtol=1e-9)
 
 
+@pytest.mark.slow
+def test_a_vertex_of_many_triangles_is_left_to_any_of_them():
+    """From one side of a flat cone of 40 triangles to the other in one step."""
+    angle = np.arange(40) * 2 * np.pi / 40
+    ring = np.stack([0.03 * np.cos(angle), 0.03 * np.sin(angle), 0 * angle], axis=1)
+    i, after = np.arange(40), np.roll(np.arange(40), -1)
+    apex, foot = np.full(40, 40), np.full(40, 41)
+    top, below = np.stack([apex, i, after], axis=1), np.stack([foot, after, i], axis=1)
+    vertices = np.concatenate([ring, [[0, 0, 0.005], [0, 0, -0.02]]])
+    mesh = hapjax.Mesh(vertices, np.concatenate([top, below]))
+    corners = vertices[top[[0, 20]]]
+    middle = corners.mean(axis=1)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    deep = middle - 1e-3 * normal
+    held = dragged(mesh, jnp.asarray([middle[0] + 1e-3 * normal[0], *deep]))
+    assert held.face.tolist() == [0, 20]
+    np.testing.assert_allclose(held.depth, 1e-3, rtol=1e-9)
+    np.testing.assert_allclose(held.normal, normal, atol=1e-12)
+
+
 # Contact --------------------------------------------------------------------------------------------------
 
 
@@ -384,6 +405,22 @@ def test_the_solid_is_differentiable_in_the_vertices():
         1,
         rtol=1e-4,
     )
+
+
+def test_edges_are_where_the_surface_bends_outward():
+    """Of the cube without an octant: its own, less half of three, and six about the notch; not the three within it."""
+    mesh = eqx.tree_at(lambda m: m.scale, mesh_of("notched"), jnp.asarray(2.0))
+    edges = jax.tree.map(np.asarray, mesh.edges())
+    along = edges.end - edges.start
+    assert np.linalg.norm(along, axis=1).sum() == pytest.approx(2 * (12 * 0.04 - 3 * 0.02 + 6 * 0.02))
+    first, second = edges.normals[:, 0], edges.normals[:, 1]
+    np.testing.assert_allclose(np.sum(first * second, axis=1), 0, atol=1e-12)
+    np.testing.assert_allclose(np.sum(along[:, None] * edges.normals, axis=2), 0, atol=1e-12)
+    middle = (edges.start + edges.end) / 2
+    within = inside(2 * FORMS["notched"][0], FORMS["notched"][1], middle - 1e-4 * (first + second))
+    outside = inside(2 * FORMS["notched"][0], FORMS["notched"][1], middle + 1e-4 * (first - second))
+    assert within.all() and not outside.any()
+    assert float(mesh.thickness()) == pytest.approx(2 * 7 * 0.02**3 / (6 * 0.04**2))
 
 
 def test_a_body_of_a_mesh_turns_about_its_own_centre():
