@@ -82,7 +82,7 @@ def init(scene: Scene, hip: Float[Any, "F 3"], gimbal: Float[Any, "..."] | None 
     )
     angles = OrderedDict()
     for name in motion:
-        if name in finger and _resists(scene, motion[name], hip):
+        if name in finger and _resists(scene, motion[name].spin, hip):
             angles[name] = _torsion(scene).start(hip)
     angles = OrderedDict((name, angle) for name, angle in angles.items() if angle is not None)
     return State(hip if _needs_hip(scene) else None, motion, finger, contact, angles, gimbal)
@@ -179,17 +179,27 @@ def _substep(
         name: [god_object.press(link.meeting, dt) for link in found] for name, found in pairs_of.items()
     }
     grasped = {name: fingers[name].wrenches(felt[name], centres)[name] for name in motions if name in fingers}
-    held = {
-        name: _grasp(
-            scene, state, motions[name], fingers[name], gods[name], felt[name].touch, wrench, turning, dt
-        )
-        for name, wrench in grasped.items()
-    }
-    if foreseen is None:
+
+    def hold(rates) -> dict[str, Held]:
+        return {
+            name: _grasp(
+                scene, state, rates[name][1], fingers[name], gods[name], felt[name].touch, wrench, turning, dt
+            )
+            for name, wrench in grasped.items()
+        }
+
+    def total(held) -> dict[str, Wrench]:
         pushes = {name: Wrench(grasped[name].force, found.torque) for name, found in held.items()}
         for name, found in pairs_of.items():
             for link, answer in zip(found, answers[name], strict=True):
                 pushes = join(pushes, link.wrenches(answer, centres))
+        return pushes
+
+    held = hold(rates)
+    if scene.torsion is not None and scene.integrator.reads_middle:
+        held = hold(bodies.pushed(rates, total(held), dt / 2))
+    if foreseen is None:
+        pushes = total(held)
     else:  # what torsion changes is all that is left to do
         pushes = {
             name: Wrench(jnp.zeros_like(found.torque), found.torque - grasped[name].torque)
@@ -279,11 +289,11 @@ def _bodies(scene: Scene, placed: dict[str, Placed], motions: dict[str, Motion],
 
 
 def _grasp(
-    scene, state, motion: Motion, link: Link, gods: GodObject, touch: Touch, wrench: Wrench, turning, dt
+    scene, state, spin, link: Link, gods: GodObject, touch: Touch, wrench: Wrench, turning, dt
 ) -> Held:
     """What torsion and the dead band make of the fingers' wrench on a moving object."""
-    held, spin = Held(wrench.torque), motion.spin
-    if spin is not None and _resists(scene, motion, link.point):
+    held = Held(wrench.torque)
+    if spin is not None and _resists(scene, spin, link.point):
         grip = Grip(
             rotation.turn(link.matrix, gods.point),
             rotation.turn(link.matrix, safe.normalise(touch.force - touch.friction_force)),
@@ -294,15 +304,15 @@ def _grasp(
         )
         angle = state.god_angle.get(link.on)
         held = _torsion(scene).hold(grip, angle, wrench.torque, spin, turning, dt)
-    if scene.world.dead_band is not None and motion.spin is not None:
+    if scene.world.dead_band is not None and spin is not None:
         held = dataclasses.replace(held, torque=grasp.dead_band(held.torque, scene.world.dead_band))
     return held
 
 
-def _resists(scene: Scene, motion: Motion, hip: Float[Array, "F 3"]) -> bool:
+def _resists(scene: Scene, spin: Float[Array, "3"] | None, hip: Float[Array, "F 3"]) -> bool:
     """Whether torsion acts on an object under these fingers."""
     torsion = scene.torsion
-    return torsion is not None and motion.spin is not None and hip.shape[0] >= torsion.least_fingers
+    return torsion is not None and spin is not None and hip.shape[0] >= torsion.least_fingers
 
 
 def _torsion(scene: Scene) -> Torsion:

@@ -22,11 +22,12 @@ class Integrator(eqx.Module):
     `substeps`, into how many a step is cut, 1 to 10,000.
 
     `needs_pivot`: `advance` is to be given a pivot. `looks_ahead`: `foresee` is to know how far points are from surfaces
-    that they do not touch.
+    that they do not touch. `reads_middle`: torsion is to be told the spin half a step on.
     """
 
     needs_pivot: ClassVar[bool] = False
     looks_ahead: ClassVar[bool] = False
+    reads_middle: ClassVar[bool] = False
 
     dt: Float[Array, ""] = eqx.field(converter=as_float, default=1e-3)
     substeps: int = eqx.field(static=True, converter=count("substeps", 10_000), default=1)

@@ -28,6 +28,8 @@ class LieMidpoint(Integrator):
     where they depend on velocity, they are read twice, the second time at the velocity of the middle.
     """
 
+    reads_middle = True
+
     def drift(
         self, body: Body, shape: Shape, motion: Motion, gyroscopic: bool, dt: Float[Array, ""]
     ) -> Motion:
