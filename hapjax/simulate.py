@@ -70,7 +70,11 @@ def init(scene: Scene, hip: Float[Any, "F 3"], gimbal: Float[Any, "..."] | None 
     `gimbal` is missing, not (F,), or given to a scene that does not read it.
     """
     hip = _as_hip(scene, hip)
-    gimbal = _as_gimbal(scene, gimbal, hip)
+    return _init(scene, hip, _as_gimbal(scene, gimbal, hip))
+
+
+@jax.jit
+def _init(scene: Scene, hip: Float[Array, "F 3"], gimbal: Float[Array, "F"] | None) -> State:
     placed = {name: _placed(scene, {}, name) for name in scene.object}
     motion = OrderedDict((name, _at_rest(scene, name)) for name in scene.moving())
     finger = OrderedDict()

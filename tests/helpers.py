@@ -13,7 +13,6 @@ import hapjax
 G = 9.81
 # For the few programs that run for longer than they compile: tests/conftest.py has all others compiled in haste.
 well_compiled = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 3})
-begin = jax.jit(hapjax.init)  # as one program: its operations one by one take longer to compile
 
 
 def matrix(wxyz) -> np.ndarray:

@@ -9,7 +9,7 @@ import pytest
 
 import hapjax
 import meshes
-from helpers import G, away, begin, matrix, moving, quaternion
+from helpers import G, away, matrix, moving, quaternion
 
 MASS = 0.05
 SLAB, BEAM = hapjax.Box((0.3, 0.3, 0.02)), hapjax.Box((0.2, 0.006, 0.01))
@@ -93,7 +93,7 @@ def test_what_is_let_fall_on_something_rests_there(case):
     upper, turn, lower, lower_turn, points = RESTS[case]
     scene = over(upper, turn, lower, lower_turn, 2e-3)
     hips = away(2500)
-    state, replies = hapjax.rollout(scene, begin(scene, hips[0]), hips)
+    state, replies = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
     motion, push = state.motion["it"], np.asarray(replies.contact["pair"].normal_force[-1])
     assert np.abs(motion.velocity).max() < 1e-7 and np.abs(motion.spin).max() < 1e-6
     assert push.sum() == pytest.approx(MASS * G, rel=1e-5)
@@ -108,7 +108,7 @@ def test_a_cube_falls_off_a_beam_that_is_not_under_its_centre():
     scene = over(BOX, UPRIGHT, BEAM, UPRIGHT, 1e-3)
     scene = eqx.tree_at(lambda s: s.object["below"].position, scene, replace_fn=lambda x: x.at[1].set(0.012))
     hips = away(1000)
-    state, _ = hapjax.rollout(scene, begin(scene, hips[0]), hips)
+    state, _ = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
     assert state.motion["it"].position[2] < -0.1
 
 
@@ -138,7 +138,7 @@ def test_a_collision_keeps_momentum_and_angular_momentum(first, second):
     scene = hapjax.Scene(
         objects, {"pair": pair}, None, hapjax.World(gyroscopic=True), hapjax.SemiImplicit(1e-4)
     )
-    state = moving(begin(scene, away(1)[0]), "a", velocity=(0, 0, -0.6), spin=(3.0, -2.0, 4.0))
+    state = moving(hapjax.init(scene, away(1)[0]), "a", velocity=(0, 0, -0.6), spin=(3.0, -2.0, 4.0))
     after, replies = hapjax.rollout(scene, state, away(1500))
     assert np.max(replies.contact["pair"].normal_force) > 1
     assert float(after.motion["b"].velocity[2]) < -0.05  # it was hit, and driven on
@@ -167,7 +167,7 @@ def test_names_in_the_other_order_are_the_same_contact():
         scene = over(BOX, TURNED, BEAM, UPRIGHT, 1e-3)
         pair = hapjax.Contact(2e3, mu=0.5, damping=2.0, between=between)
         scene = hapjax.Scene(scene.object, {"pair": pair}, None, scene.world, scene.integrator)
-        paths.append(hapjax.rollout(scene, begin(scene, away(1)[0]), away(300))[1].pose)
+        paths.append(hapjax.rollout(scene, hapjax.init(scene, away(1)[0]), away(300))[1].pose)
     assert paths[0] == pytest.approx(np.asarray(paths[1]), abs=1e-9)
 
 
@@ -185,7 +185,7 @@ def test_a_smooth_mesh_that_has_no_edges_touches_by_its_vertices(other):
     pair = hapjax.Contact(2e3, mu=0.5, between=("it", "below"))
     scene = hapjax.Scene(objects, {"pair": pair})
     assert smooth.edges() is None
-    state = moving(begin(scene, away(1)[0]), "it", velocity=(0, 0, -0.1))
+    state = moving(hapjax.init(scene, away(1)[0]), "it", velocity=(0, 0, -0.1))
     _, replies = hapjax.rollout(scene, state, away(4))
     assert replies.contact["pair"].normal_force[-1].sum() > 0
 
@@ -196,7 +196,7 @@ def test_damping_slows_a_box_that_slides_over_crossing_edges():
     left = {}
     for damping in (None, 3.0):
         scene = over(BOX, TURNED, BEAM, UPRIGHT, 1e-5, damping=damping, mu=5.0)
-        state = moving(begin(scene, away(1)[0]), "it", velocity=(2e-3, 2e-3, 0))
+        state = moving(hapjax.init(scene, away(1)[0]), "it", velocity=(2e-3, 2e-3, 0))
         _, replies = hapjax.rollout(scene, state, away(1500))
         left[damping] = np.ptp(np.asarray(replies.pose)[-300:, 0, :2])
     assert left[3.0] < 0.5 * left[None]
@@ -213,7 +213,7 @@ def test_a_box_that_slides_along_a_beams_edges_is_slowed_by_the_kinetic_mu():
     assert v0 * dt * 2e3 < (static - kinetic) * MASS * G / 4
     objects = {"it": thing, "below": scene.object["below"]}
     scene = hapjax.Scene(objects, {"pair": pair}, None, hapjax.World((0, 0, -G)), hapjax.SemiImplicit(dt))
-    state = moving(begin(scene, away(1)[0]), "it", velocity=(v0, 0, 0))
+    state = moving(hapjax.init(scene, away(1)[0]), "it", velocity=(v0, 0, 0))
     _, replies = hapjax.rollout(scene, state, away(200))
     x = np.asarray(replies.pose[:, 0, 0])
     slowed = np.diff(x[[50, 51, 198, 199]])[[0, 2]] / dt  # once the springs are stretched
@@ -243,6 +243,6 @@ def test_restitution_is_what_the_loss_says(damping, speed):
         {"pair": pair},
         integrator=hapjax.SemiImplicit(1e-5),
     )
-    state = moving(begin(scene, away(1)[0]), "it", velocity=(0, 0, -speed))
+    state = moving(hapjax.init(scene, away(1)[0]), "it", velocity=(0, 0, -speed))
     state, _ = hapjax.rollout(scene, state, away(4000))
     assert state.motion["it"].velocity[2] == pytest.approx(rebound(damping, speed), rel=2e-3)

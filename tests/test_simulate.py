@@ -65,7 +65,10 @@ def test_rollout_is_step_after_step(dtype):
     for k, hip in enumerate(hips[:5]):
         state, reply = hapjax.step(scene, state, jnp.asarray(hip))
         assert close(reply, jax.tree.map(lambda x, k=k: x[k], replies), 2e3 * float(jnp.finfo(dtype).eps))
-    assert {leaf.dtype for leaf in jax.tree.leaves((state, reply, final, replies))} == {dtype, jnp.dtype(bool)}
+    assert {leaf.dtype for leaf in jax.tree.leaves((state, reply, final, replies))} == {
+        dtype,
+        jnp.dtype(bool),
+    }
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves((final, replies)))
 
 

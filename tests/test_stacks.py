@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hapjax
-from helpers import G, away, begin, matrix, quaternion
+from helpers import G, away, matrix, quaternion
 
 MASS = 0.05
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
@@ -45,7 +45,7 @@ def test_a_stack_of_three_cubes_stands_for_ten_seconds(yaw, offset):
     """Also with faces that lie flush, and where each cube stands aside of the one below."""
     scene = stack(yaw, offset)
     hips = away(10_000)
-    state, replies = hapjax.rollout(scene, begin(scene, hips[0]), hips)
+    state, replies = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
     pose = np.asarray(replies.pose)
     moved = pose[-1] - pose[0]
     if offset < 1e-3:
@@ -67,7 +67,7 @@ def test_two_fingers_that_lift_the_lowest_cube_carry_all_three():
     hips = np.stack(
         [np.stack([x, 0 * t, height], axis=-1) for x in (squeeze + 1e-3, -squeeze - 1e-3)], axis=1
     )
-    state, replies = hapjax.rollout(scene, begin(scene, hips[0]), jnp.asarray(hips))
+    state, replies = hapjax.rollout(scene, hapjax.init(scene, hips[0]), jnp.asarray(hips))
     assert np.asarray(replies.contact["on_floor"].normal_force[-1]).sum() == 0  # off the floor
     lifted = np.asarray(replies.pose)[-1, :, 2] - np.asarray(replies.pose)[900, :, 2]
     assert lifted == pytest.approx(np.full(3, 0.03), abs=2e-3)
@@ -106,6 +106,6 @@ def test_what_is_round_rolls_down_a_slope_without_a_bump(shape, share, below):
         hapjax.SemiImplicit(2e-4),
     )
     hips = away(2000)
-    state, _ = hapjax.rollout(scene, begin(scene, hips[0]), hips)
+    state, _ = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
     speed = float(state.motion["it"].velocity @ jnp.asarray(turn[:, 0]))
     assert speed == pytest.approx(share * G * np.sin(slope) * 0.4, rel=1e-2)
