@@ -21,7 +21,7 @@ def drop(
     damping: float | None = DAMPING,
     stiffness=STIFFNESS,
     seconds=1.5,
-    method=hapjax.Implicit,
+    method: type[hapjax.integrate.Integrator] = hapjax.Implicit,
 ):
     """The cube's motion and god-objects at every substep, and the mechanical energy (T,) J there."""
     cube = hapjax.Object(hapjax.Box((EDGE,) * 3), None, hapjax.Body(MASS), (0, 0, 0.15), orientation)

@@ -1,5 +1,7 @@
 """A recording in which the model leaves the range of sense: dropped and counted."""
 
+from typing import Any
+
 import numpy as np
 
 import hapjax
@@ -22,7 +24,7 @@ def test_a_lost_recording_is_dropped_and_counted():
     hip[100:] = [1.0, 0.0, 1.01]
     bad = Recording(hip=hip, hip_t=good.hip_t, force=good.force, force_t=good.force_t)
     off = with_ball(floor(mu=0.9, stiffness=500.0))
-    options = dict(noise={"force": SIGMA}, starts=2, observe="force")
+    options: dict[str, Any] = dict(noise={"force": SIGMA}, starts=2, observe="force")
     alone = fit(off, good, BOTH, **options)
     both = fit(off, [good, bad], BOTH, **options)
     assert (alone.lost, both.lost) == (0, 1)
