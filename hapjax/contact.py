@@ -213,7 +213,7 @@ def _edges_on(contact: Contact, gods: GodObject, a: Mover, b: Mover, dt: Float[A
     speed = slip if contact.needs_velocity() else None
     meeting = Meeting(contact, near, offset, gods.sliding, rounding, speed)
     matrix, names = b.placed.matrix, contact.between
-    faces = active | found.admissible
+    faces = active | (found.admissible & (found.depth <= 0))
     return Link(
         meeting, found.point, places, matrix, None, gods.depth, None, dt * slip, faces, *names, crossing=True
     )

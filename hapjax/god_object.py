@@ -107,11 +107,11 @@ def touch(
 
 def or_apart(
     shape: Shape, near: SurfacePoint, points: Float[Array, "n 3"]
-) -> tuple[SurfacePoint, Bool[Array, "n"] | None]:
+) -> tuple[SurfacePoint, Bool[Array, "n"]]:
     """The surface points that hold points (m), of those that touch nothing the closest ones, with depths up to 0.
 
-    Also which points have such a depth; `None`: all. Those outside a mesh have none: to look for it would cost with the
-    mesh's size.
+    Also which points have a depth. One that came in by no face has none, nor one outside a mesh: to look for it would
+    cost with the mesh's size.
     """
     if isinstance(shape, Mesh):
         return near, near.depth > 0
@@ -121,7 +121,7 @@ def or_apart(
     def pick(out, held):
         return jnp.where(outside.reshape(outside.shape + (1,) * (held.ndim - 1)), out, held)
 
-    return jax.tree.map(pick, closest, near), None
+    return jax.tree.map(pick, closest, near), outside | (near.depth > 0)
 
 
 def meet(
