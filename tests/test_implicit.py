@@ -81,6 +81,47 @@ def test_it_settles_where_explicit_steps_blow_up():
     np.testing.assert_allclose(depth, 0.05 * G / 4e8, rtol=1e-4)
 
 
+def dropped_stack(names=("first", "second")):
+    """Two cubes, the upper one turned a little, dropped onto each other and a floor from 5 mm each."""
+    low = hapjax.Object(hapjax.Box((EDGE,) * 3), None, hapjax.Body(0.05), (0, 0, EDGE / 2 + 0.005))
+    turn = quaternion((0.1, 0.2, 1), 0.2)
+    high = hapjax.Object(
+        hapjax.Box((EDGE,) * 3), None, hapjax.Body(0.05), (0.002, 0, 1.5 * EDGE + 0.012), turn
+    )
+    pairs = [
+        hapjax.Contact(1e4, mu=0.5, damping=2.0, between=("low", "floor")),
+        hapjax.Contact(1e4, mu=0.5, damping=2.0, between=("high", "low")),
+    ]
+    return hapjax.Scene(
+        {"low": low, "high": high, "floor": hapjax.Object(hapjax.Plane())},
+        dict(zip(names, pairs, strict=True)),
+        world=WORLD,
+        integrator=hapjax.Implicit(dt=5e-3),
+    )
+
+
+@pytest.mark.slow
+def test_a_stack_that_is_dropped_settles_at_long_steps():
+    scene = dropped_stack()
+    end, replies = hapjax.rollout(scene, hapjax.init(scene, away(1)[0]), away(400))
+    for name in ("low", "high"):
+        assert np.linalg.norm(end.motion[name].velocity) < 1e-6
+    height = np.asarray(replies.pose[:, :, 2])
+    assert height.max(axis=0) == pytest.approx([EDGE / 2 + 0.005, 1.5 * EDGE + 0.012], abs=1e-3)
+    assert height[-1] == pytest.approx([EDGE / 2, 1.5 * EDGE], abs=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["implicit", "lie_midpoint"])
+def test_the_names_of_contacts_do_not_matter(method):
+    ends = []
+    for names in (("a", "b"), ("b", "a")):
+        scene = dataclasses.replace(dropped_stack(names), integrator=METHODS[method]())
+        ends.append(hapjax.rollout(scene, hapjax.init(scene, away(1)[0]), away(100))[0].motion)
+    for name in ("low", "high"):
+        np.testing.assert_allclose(ends[0][name].position, ends[1][name].position, atol=1e-12)
+
+
 # Accuracy -------------------------------------------------------------------------------------------------
 
 
