@@ -1,7 +1,10 @@
 """init, step, rollout: a scene felt by fingers."""
 
 import dataclasses
+import math
 from collections import OrderedDict
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -129,17 +132,22 @@ def step(
     return state, dataclasses.replace(reply, force=jnp.where(lost, 0, reply.force), lost=lost)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="checkpoint")
 def rollout(
     scene: Scene,
     state: State,
     hips: Float[Any, "T F 3"],
     dt: Any = None,
     gimbals: Float[Any, "..."] | None = None,
+    *,
+    checkpoint: bool = False,
 ) -> tuple[State, Reply]:
     """`step` for each of `hips` (T, F, 3) m; returns the last state and every reply, stacked along a first axis T.
 
-    **Arguments:** `gimbals` (T, F) rad, where the scene's torsion is a `Gimbal`.
+    **Arguments:** `gimbals` (T, F) rad, where the scene's torsion is a `Gimbal`. `checkpoint`: a reverse-mode gradient
+    remembers the states between about sqrt(T) segments of about sqrt(T) steps, and computes the rest again (Griewank and
+    Walther 2008, Evaluating Derivatives, chapter 12), so that its memory grows as sqrt(T) and not as T, but for
+    what goes in and comes out at each step. Results are the same.
     """
     hips = jnp.asarray(hips)
     gimbals = None if gimbals is None else jnp.asarray(gimbals)
@@ -147,7 +155,34 @@ def rollout(
         raise InputError(
             f"gimbals has the shape {gimbals.shape}; allowed: {hips.shape[:2]}, an angle for each of hips"
         )
-    return jax.lax.scan(lambda carry, x: step(scene, carry, x[0], dt, x[1]), state, (hips, gimbals))
+    scan = _scan_in_segments if checkpoint else jax.lax.scan
+    return scan(lambda carry, x: step(scene, carry, x[0], dt, x[1]), state, (hips, gimbals))
+
+
+def _scan_in_segments(body: Callable[[State, Any], tuple[State, Reply]], state: State, inputs: Any):
+    """`jax.lax.scan`, of which a reverse-mode gradient keeps about 2 sqrt(T) states."""
+    steps = len(jax.tree.leaves(inputs)[0])
+    root = math.isqrt(max(steps, 1) - 1) + 1
+    # Segments that come out even need no copy of what goes in.
+    size = next((n for n in range(root, 2 * root) if steps % n == 0), root)
+    count = -(-steps // size)
+
+    def one(carry, x):
+        number, x = x
+        after, reply = body(carry, x)
+        # What fills up the last segment is a repeated step that changes nothing.
+        return jax.tree.map(lambda new, old: jnp.where(number < steps, new, old), after, carry), reply
+
+    def segment(carry, xs):
+        return jax.lax.scan(jax.checkpoint(one, prevent_cse=False), carry, xs)
+
+    def cut(x):
+        full = jnp.pad(x, [(0, count * size - steps)] + [(0, 0)] * (x.ndim - 1), mode="edge")
+        return full.reshape(count, size, *x.shape[1:])
+
+    cuts = jnp.arange(count * size).reshape(count, size), jax.tree.map(cut, inputs)
+    state, replies = jax.lax.scan(jax.checkpoint(segment, prevent_cse=False), state, cuts)
+    return state, jax.tree.map(lambda x: x.reshape(count * size, *x.shape[2:])[:steps], replies)
 
 
 def _substep(
