@@ -127,7 +127,7 @@ def fit(
 
 
 def benchmark(
-    kind: Positional[Literal["latency", "scene", "stability", "error"]],
+    kind: Positional[Literal["latency", "scene", "stability", "error", "gradient", "batch"]],
     scene: Path | None = None,
     fingers: int = 3,
     seconds: float = 5.0,
@@ -147,11 +147,12 @@ def benchmark(
     missed ticks at 1 kHz, compile time. scene: equations, floating-point operations and time of a step of the scene,
     and of the scene with each part switched off in turn. stability: where each integrator settles, rings or blows up, and
     how stiff a wall a device can press on. error: error against run time of each integrator, beside MuJoCo's, on cases
-    with a known truth. Example: hapjax benchmark latency --json latency.json
+    with a known truth. gradient: time and memory of gradients beside the forward pass. batch: steps a second of batches of
+    rollouts, and how far a held object creeps, beside MuJoCo's. Example: hapjax benchmark latency --json latency.json
 
     Args:
         kind: Which measurement.
-        scene: Scene file (TOML); absent: the demo's, and of stability and error the built-in cases.
+        scene: Scene file (TOML); absent: the demo's, and of stability, error and gradient the built-in cases. Not of batch.
         fingers: Number of fingers, 1 to 100.
         seconds: How long the servo loop of latency runs, above 0 to 3600 s.
         integrators: Of stability and error: names as in scene files; none: all.
@@ -165,8 +166,8 @@ def benchmark(
         out: Of stability and error: folder for the page, the pictures and the CSV files.
         json: File for the figures.
     """
+    from .benchmark import batch, gradient, latency, stability
     from .benchmark import error as errors
-    from .benchmark import latency, stability
     from .benchmark import scene as parts
 
     if json is not None:
@@ -179,6 +180,10 @@ def benchmark(
         stability.report(loaded, maps, integrators, quick, rate, fingers, out, json)
     elif kind == "error":
         errors.report(loaded, hip, fingers, cases, integrators, quick, error, rate, out, json)
+    elif kind == "gradient":
+        gradient.report(loaded, fingers, json)
+    elif kind == "batch":
+        batch.report(loaded, fingers, json)
     else:
         parts.report(loaded, fingers, json)
 

@@ -1,0 +1,181 @@
+"""How many steps a second a batch of rollouts does, beside MuJoCo's; and how far a held object creeps in both."""
+
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ..errors import InputError
+from ..extras import need
+from ..files import replacing
+from ..integrate import METHODS
+from ..scene import Scene
+from ..simulate import init, rollout
+from . import _grip
+
+SIZES, STEPS, THREADS = (1, 16, 128, 1024), 200, 2
+HEIGHT, SETTLE, HELD = 0.02, 1.0, 60.0  # m over the floor; s before creep counts, and s that it counts
+
+
+def measure(
+    sizes: Sequence[int] = SIZES, steps: int = STEPS, held: float = HELD, integrators: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Steps a second of batches of three-finger grips, and creep in m of one that is held for `held` s.
+
+    `batches`: of each of `sizes`, `one_call` of a vmapped rollout, `two_threads`, each of which runs half, and `mujoco`'s
+    rollout on two threads; the best of several runs that take turns. `ratio`: hapjax's best over MuJoCo's best.
+    `creep`: of each of `integrators` (none: all) and of MuJoCo.
+    """
+    mujoco = need("mujoco", "bench")
+    batches = [_batch(size, steps) for size in sizes]
+    ours = max(max(b["one_call"], b["two_threads"]) for b in batches)
+    theirs = max(b["mujoco"] for b in batches)
+    creep = {name: _creep(METHODS[name](dt=_grip.DT), held) for name in integrators or METHODS}
+    creep["MuJoCo"] = _creep_mujoco(held)
+    return {
+        "device": str(jax.devices()[0]),
+        "dtype": str(_grip.precision()),
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "mujoco": mujoco.__version__,
+        "steps": steps,
+        "batches": batches,
+        "ratio": ours / theirs,
+        "held_s": held,
+        "creep": creep,
+    }
+
+
+def report(scene: Scene | None, fingers: int, file: Path | None) -> None:
+    """Measure, print the tables, and write the figures as JSON where a file is given.
+
+    **Raises:** `InputError` for a scene, or other than three fingers: MuJoCo has no like one.
+    """
+    if scene is not None:
+        raise InputError("scene is given; allowed with batch: none, for it has one that MuJoCo runs too")
+    if fingers != 3:
+        raise InputError(f"fingers is {fingers}; allowed with batch: 3")
+    figures = measure()
+    console = Console()
+    console.print(_batch_table(figures))
+    console.print(f"hapjax at its best over MuJoCo at its best: {figures['ratio']:.1f}")
+    console.print(_creep_table(figures))
+    if file is not None:
+        with replacing(file) as out:
+            json.dump(figures, out, indent=2)
+            out.write("\n")
+
+
+def _batch(size: int, steps: int) -> dict[str, Any]:
+    whole, compile_s = _rollouts(size, steps)
+    half = whole if size == 1 else _rollouts(size // 2, steps)[0]
+    with ThreadPoolExecutor(THREADS) as pool:
+
+        def halves():
+            return list(pool.map(lambda _: jax.block_until_ready(half()), range(THREADS)))
+
+        runs = {
+            "one_call": (lambda: jax.block_until_ready(whole()), size),
+            "two_threads": (halves, THREADS * max(size // 2, 1)),
+        }
+        with need("mujoco.rollout", "bench").Rollout(nthread=THREADS) as theirs:
+            runs["mujoco"] = (_mujoco_rollouts(theirs, size, steps), size)
+            rates = _rates(runs, steps)
+    return {"size": size, **rates, "compile_s": compile_s}
+
+
+def _rates(runs: dict[str, tuple[Callable[[], Any], int]], steps: int, rounds: int = 5) -> dict[str, float]:
+    """Steps a second, the best of runs that take turns; the first round is not counted."""
+    taken = np.empty((rounds + 1, len(runs)))
+    for row in taken:
+        for i, (run, _) in enumerate(runs.values()):
+            began = time.perf_counter()
+            run()
+            row[i] = time.perf_counter() - began
+    best = taken[1:].min(axis=0)
+    return {name: float(n * steps / s) for (name, (_, n)), s in zip(runs.items(), best, strict=True)}
+
+
+def _rollouts(size: int, steps: int) -> tuple[Callable[[], Any], float]:
+    """A compiled batch of grips, each pressed a little differently, and s to compile it."""
+    scene = _grip.scene()
+    hips = jnp.asarray(_grip.grip(steps, 0.0), _grip.precision())
+    shift = jnp.linspace(-1e-4, 1e-4, size, dtype=hips.dtype)
+    paths = hips[None] + shift[:, None, None, None]
+    start = jax.vmap(lambda path: init(scene, path[0]))(paths)
+
+    def ends(state, paths):
+        def one(state, path):
+            end, reply = rollout(scene, state, path)
+            return end.motion, reply.force[-1]
+
+        return jax.vmap(one)(state, paths)
+
+    began = time.perf_counter()
+    program = jax.jit(ends).lower(start, paths).compile()
+    return lambda: program(start, paths), time.perf_counter() - began
+
+
+def _mujoco_rollouts(threads: Any, size: int, steps: int) -> Callable[[], Any]:
+    mujoco = need("mujoco", "bench")
+    model, data = _grip.mujoco_model(0.0)
+    full = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    mujoco.mj_step(model, data, nstep=round(SETTLE / _grip.DT))
+    start = np.empty(mujoco.mj_stateSize(model, full))
+    mujoco.mj_getState(model, data, start, full)
+    starts = np.tile(start, (size, 1))
+    control = np.broadcast_to(_grip.PRESS, (size, steps, len(_grip.PRESS))).copy()
+    state = np.empty((size, steps, len(start)))
+    sensors = np.empty((size, steps, model.nsensordata))
+    workers = [mujoco.MjData(model) for _ in range(THREADS)]
+    return lambda: threads.rollout(model, workers, starts, control, state=state, sensordata=sensors)
+
+
+def _creep(integrator, held: float) -> float:
+    """How far the cube moves in `held` s, m."""
+    scene = _grip.raised(_grip.scene(integrator), HEIGHT)
+    first, count = round(SETTLE / _grip.DT), round((SETTLE + held) / _grip.DT)
+    hip = jnp.asarray(_grip.grip(1, 0.0)[0] + [0, 0, HEIGHT], _grip.precision())
+
+    @jax.jit
+    def places(scene):
+        hips = jnp.broadcast_to(hip, (count, *hip.shape))
+        return rollout(scene, init(scene, hip), hips)[1].pose[:, 0, :3]
+
+    path = np.asarray(places(scene))
+    return float(np.linalg.norm(path[-1] - path[first - 1]))
+
+
+def _creep_mujoco(held: float) -> float:
+    mujoco = need("mujoco", "bench")
+    model, data = _grip.mujoco_model(HEIGHT)
+    mujoco.mj_step(model, data, nstep=round(SETTLE / _grip.DT))
+    before = data.body("cube").xpos.copy()
+    mujoco.mj_step(model, data, nstep=round(held / _grip.DT))
+    return float(np.linalg.norm(data.body("cube").xpos - before))
+
+
+def _batch_table(figures: dict[str, Any]) -> Table:
+    title = f"thousand steps a second: {figures['dtype']}, {figures['device']}, MuJoCo {figures['mujoco']}"
+    table = Table("batch", "one call", "two threads", "MuJoCo, two threads", "compile s", title=title)
+    for row in figures["batches"]:
+        rates = (f"{row[name] / 1e3:.0f}" for name in ("one_call", "two_threads", "mujoco"))
+        table.add_row(str(row["size"]), *rates, f"{row['compile_s']:.1f}")
+    return table
+
+
+def _creep_table(figures: dict[str, Any]) -> Table:
+    table = Table(
+        "integrator", "um", title=f"creep of a cube held by three fingers for {figures['held_s']:g} s"
+    )
+    for name, moved in figures["creep"].items():
+        table.add_row(name, f"{moved * 1e6:.4g}")
+    return table

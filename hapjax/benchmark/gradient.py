@@ -1,0 +1,170 @@
+"""What gradients of a rollout cost: time beside the forward pass, compile time, and memory against the number of steps."""
+
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ..errors import InputError
+from ..files import replacing
+from ..scene import Scene, dtype_of
+from ..simulate import State, init, rollout
+from . import _grip
+from .error_scene import operator
+
+STEPS, LENGTHS, PARAMETERS, LIFT = 1000, (250, 1000, 4000), (1, 4, 10), 0.02
+
+
+def measure(scene: Scene | None, fingers: int, steps: int = STEPS, lengths: Sequence[int] = LENGTHS):
+    """The cost of gradients of the sum of squares of all objects' places at the end, in the scene's numbers.
+
+    `times`: of each program `run_s`, the least of several runs, its `ratio` to that of the forward pass, `compile_s`.
+    `reverse` is in all numbers; `reverse, checkpoint` is that of `rollout(..., checkpoint=True)`; `forward, n` is in the
+    scale of n of them at once. `memory`: bytes that the compiled reverse gradient takes beside what goes in and comes
+    out, for each of `lengths` steps, and the `exponent` of their growth. `scene` `None`: three fingers lift a cube.
+
+    **Raises:** `InputError` for a number of fingers outside 1 to 100, or a scene with no object for them to lift.
+    """
+    if not 1 <= fingers <= 100:
+        raise InputError(f"fingers is {fingers}; allowed: 1 to 100")
+    path = _path(scene, fingers)
+    scene = _grip.scene() if scene is None else scene
+    hips = path(steps)
+    start = init(scene, hips[0], _gimbals(scene, hips, 1))
+    programs = {"forward pass": _compiled(_end, scene, start, hips, False)}
+    programs["reverse"] = _compiled(jax.grad(_end, allow_int=True), scene, start, hips, False)
+    programs["reverse, checkpoint"] = _compiled(jax.grad(_end, allow_int=True), scene, start, hips, True)
+    for count in PARAMETERS:
+        programs[f"forward, {count}"] = _compiled(_scaled(scene, count), scene, start, hips, False)
+    return {
+        "device": str(jax.devices()[0]),
+        "dtype": str(dtype_of(scene)),
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "fingers": hips.shape[1],
+        "steps": steps,
+        "integrator": type(scene.integrator).__name__,
+        "times": _times(programs, (scene, start, hips)),
+        "memory": {
+            "without checkpoint": _memory(scene, path, lengths, False),
+            "checkpoint": _memory(scene, path, lengths, True),
+        },
+    }
+
+
+def report(scene: Scene | None, fingers: int, file: Path | None) -> None:
+    """Measure, print the tables, and write the figures as JSON where a file is given."""
+    figures = measure(scene, fingers)
+    for table in (_time_table(figures), _memory_table(figures)):
+        Console().print(table)
+    if file is not None:
+        with replacing(file) as out:
+            json.dump(figures, out, indent=2)
+            out.write("\n")
+
+
+def _path(scene: Scene | None, fingers: int) -> Callable[[int], jax.Array]:
+    """The fingers' motion in any number of steps, (T, F, 3) m."""
+    if scene is None:
+        if fingers != 3:
+            raise InputError(f"fingers is {fingers} without a scene; allowed: 3")
+        return lambda steps: jnp.asarray(_grip.grip(steps, LIFT), _grip.precision())
+    lift, dtype = operator(scene, fingers, 1000.0), dtype_of(scene)
+    return lambda steps: jnp.asarray(lift[np.linspace(0, len(lift) - 1, steps).astype(int)], dtype)
+
+
+def _gimbals(scene: Scene, hips: jax.Array, dimensions: int) -> jax.Array | None:
+    needed = scene.torsion is not None and scene.torsion.needs_gimbal
+    return jnp.zeros(hips.shape[2 - dimensions : 2], hips.dtype) if needed else None
+
+
+def _end(scene: Scene, state: State, hips: jax.Array, checkpoint: bool) -> jax.Array:
+    end, _ = rollout(scene, state, hips, None, _gimbals(scene, hips, 2), checkpoint=checkpoint)
+    return sum((jnp.sum(m.position**2) for m in end.motion.values()), jnp.zeros((), hips.dtype))
+
+
+def _scaled(scene: Scene, count: int):
+    """Forward-mode derivatives in the scale of `count` of the scene's numbers, those of few entries first."""
+    leaves, build = jax.tree.flatten(scene)
+    wanted = sorted(
+        (i for i, x in enumerate(leaves) if eqx.is_inexact_array(x)), key=lambda i: leaves[i].size
+    )
+
+    def slopes(scene, state, hips, checkpoint):
+        def loss(scales):
+            parts = jax.tree.leaves(scene)
+            for i, scale in zip(wanted[:count], scales, strict=False):
+                parts[i] = parts[i] * scale
+            return _end(jax.tree.unflatten(build, parts), state, hips, checkpoint)
+
+        return jax.jacfwd(loss)(jnp.ones(count, hips.dtype))
+
+    return slopes
+
+
+def _compiled(function, scene: Scene, state: State, hips: jax.Array, checkpoint: bool):
+    """The compiled function, and s to trace and compile it."""
+    began = time.perf_counter()
+    program = jax.jit(function, static_argnums=3).lower(scene, state, hips, checkpoint).compile()
+    return program, time.perf_counter() - began
+
+
+def _times(
+    programs: dict[str, tuple[Any, float]], arguments: tuple, runs: int = 9
+) -> dict[str, dict[str, float]]:
+    """The least run times; the programs take turns, so that a busy moment hits all alike."""
+    taken = np.empty((runs + 1, len(programs)))
+    for row in taken:
+        for i, (program, _) in enumerate(programs.values()):
+            began = time.perf_counter()
+            jax.block_until_ready(program(*arguments))
+            row[i] = time.perf_counter() - began
+    best = taken[1:].min(axis=0)
+    return {
+        name: {"run_s": float(s), "ratio": float(s / best[0]), "compile_s": compile_s}
+        for (name, (_, compile_s)), s in zip(programs.items(), best, strict=True)
+    }
+
+
+def _memory(scene: Scene, path, lengths: Sequence[int], checkpoint: bool) -> dict[str, Any]:
+    taken = []
+    for steps in lengths:
+        hips = path(steps)
+        start = init(scene, hips[0], _gimbals(scene, hips, 1))
+        program, _ = _compiled(jax.grad(_end, allow_int=True), scene, start, hips, checkpoint)
+        analysis = program.memory_analysis()
+        if analysis is None:
+            raise InputError(
+                f"{jax.devices()[0]} does not tell memory; allowed: a device that does, a CPU say"
+            )
+        taken.append(analysis.temp_size_in_bytes)
+    exponent = float(np.polyfit(np.log(lengths), np.log(taken), 1)[0])
+    return {"steps": list(lengths), "bytes": taken, "exponent": exponent}
+
+
+def _time_table(figures: dict[str, Any]) -> Table:
+    title = (
+        f"gradients of {figures['steps']} steps: {figures['fingers']} fingers, {figures['integrator']}, "
+        f"{figures['dtype']}, {figures['device']}"
+    )
+    table = Table("what", "ms", "of the forward pass", "compile s", title=title)
+    for name, row in figures["times"].items():
+        table.add_row(name, f"{row['run_s'] * 1e3:.2f}", f"{row['ratio']:.1f}", f"{row['compile_s']:.1f}")
+    return table
+
+
+def _memory_table(figures: dict[str, Any]) -> Table:
+    rows = figures["memory"]
+    steps = next(iter(rows.values()))["steps"]
+    table = Table("kB of the reverse gradient", *(f"{n} steps" for n in steps), "exponent")
+    for name, row in rows.items():
+        table.add_row(name, *(f"{b / 1e3:.0f}" for b in row["bytes"]), f"{row['exponent']:.2f}")
+    return table

@@ -1,0 +1,85 @@
+"""What gradients and batches cost: sizes, refusals, and the scene that MuJoCo shares."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hapjax
+from hapjax.benchmark import _grip, batch, gradient
+from hapjax.cli import main
+
+
+def test_the_fingers_hold_the_cube_and_lift_it():
+    hips = _grip.grip(600, 0.02)
+    scene = _grip.scene()
+    end, reply = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
+    pressed = np.asarray(reply.touch["cube"].normal_force)[-1]
+    np.testing.assert_allclose(pressed, _grip.PRESS, rtol=0.05)
+    assert float(end.motion["cube"].position[2]) > _grip.SIDE / 2 + 0.015
+
+
+@pytest.mark.slow
+def test_the_gradients_report(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(gradient, "PARAMETERS", (1, 2))
+    figures = gradient.measure(None, 3, steps=20, lengths=(16, 256))
+    assert list(figures["times"]) == [
+        "forward pass",
+        "reverse",
+        "reverse, checkpoint",
+        "forward, 1",
+        "forward, 2",
+    ]
+    assert figures["times"]["forward pass"]["ratio"] == 1
+    assert all(row["run_s"] > 0 and row["compile_s"] > 0 for row in figures["times"].values())
+    plain, spared = figures["memory"]["without checkpoint"], figures["memory"]["checkpoint"]
+    assert plain["exponent"] > 0.8 and spared["exponent"] < 0.6
+    assert spared["bytes"][1] < plain["bytes"][1] / 3
+    monkeypatch.setattr(gradient, "measure", lambda scene, fingers: figures)
+    assert main(["benchmark", "gradient", "--json", str(tmp_path / "f.json")]) == 0
+    assert "reverse, checkpoint" in capsys.readouterr().out and (tmp_path / "f.json").stat().st_size > 100
+
+
+@pytest.mark.slow
+def test_forward_derivatives_in_the_scale_of_numbers_are_differences():
+    scene, hips = _grip.scene(), jnp.asarray(_grip.grip(30, 0.01))
+    start = hapjax.init(scene, hips[0])
+    (slope,) = gradient._scaled(scene, 1)(scene, start, hips, False)
+    step = 1e-4
+    ends = []
+    for sign in (1, -1):
+        surface = hapjax.Surface(_grip.STIFFNESS * (1 + sign * step), mu=_grip.MU, damping=1.0)
+        parts = dict(scene.object)
+        parts["cube"] = hapjax.Object(
+            parts["cube"].shape, surface, parts["cube"].body, position=parts["cube"].position
+        )
+        changed = hapjax.Scene(parts, scene.contact, world=scene.world, integrator=scene.integrator)
+        ends.append(float(gradient._end(changed, start, hips, False)))
+    assert float(slope) == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_held_cube_does_not_creep_and_batches_run():
+    pytest.importorskip("mujoco")
+    found = batch.measure(sizes=(2,), steps=5, held=0.5, integrators=("semi_implicit",))
+    (row,) = found["batches"]
+    assert min(row["one_call"], row["two_threads"], row["mujoco"]) > 0
+    best = max(row["one_call"], row["two_threads"]) / row["mujoco"]
+    assert found["ratio"] == pytest.approx(best)
+    assert found["creep"]["semi_implicit"] < 1e-6 < found["creep"]["MuJoCo"] < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["batch", "--fingers", "2"], "fingers is 2; allowed with batch: 3"),
+        (["batch", "--scene", "{scene}"], "scene is given"),
+        (["gradient", "--fingers", "2"], "fingers is 2 without a scene"),
+        (["gradient", "--fingers", "0"], "1 to 100"),
+        (["gradient", "--scene", "{scene}"], "no object with a body has a surface"),
+    ],
+)
+def test_bad_input_is_refused_in_a_sentence(arguments, said, tmp_path, capsys):
+    file = tmp_path / "plate.toml"
+    file.write_text('[object.plate]\nshape = "plane"\n[object.plate.surface]\nmu = 0.5\nstiffness = 800.0\n')
+    assert main(["benchmark", *(a.format(scene=file) for a in arguments)]) == 2
+    assert said in capsys.readouterr().err
