@@ -65,7 +65,7 @@ def test_a_held_cube_does_not_creep_and_batches_run():
     assert min(row["one_call"], row["two_threads"], row["mujoco"]) > 0
     best = max(row["one_call"], row["two_threads"]) / row["mujoco"]
     assert found["ratio"] == pytest.approx(best)
-    assert found["creep"]["semi_implicit"] < 1e-6 < found["creep"]["MuJoCo"] < 1e-3
+    assert found["creep"]["semi_implicit"] < 1e-6 < found["creep"]["MuJoCo"] < 3e-3
 
 
 @pytest.mark.parametrize(
