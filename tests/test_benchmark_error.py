@@ -337,9 +337,10 @@ def test_a_report_is_whole(tmp_path, capsys):
     curves = figures["cases"]["top"]["curves"]
     for name in ("semi_implicit", "lie_midpoint"):
         assert curves[name]["order"] == pytest.approx(curves[name]["theory"], abs=0.2)
-    assert (
-        curves["MuJoCo RK4"]["points"] and figures["cases"]["incline_hold"]["equal_time"][0]["factor"] < 1e-3
-    )
+    at_equal_time = figures["cases"]["incline_hold"][
+        "equal_time"
+    ]  # which rows there are, the machine decides
+    assert curves["MuJoCo RK4"]["points"] and min(row["factor"] for row in at_equal_time) < 1e-3
     with open(out / "error.csv") as stream:
         rows = list(csv.DictReader(stream))
     assert {row["case"] for row in rows} == {"top", "incline_hold", "restitution"}

@@ -44,9 +44,10 @@ def measure(
     if scene is not None:
         figures["walls"] = own.walls(scene, rate)
         if scene.moving():
-            one = own.scaled_map(scene)
-            one = one.thinned() if quick else one
-            figures["maps"] = {"scene": one}
+            one = own.scaled_map(
+                scene
+            )  # the recommendation needs all of it: the scene's own stiffness is one of its values
+            figures["maps"] = {"scene": one.thinned() if quick else one}
             dts = _scene_steps(scene, quick)
             figures["cells"] = plans.measure(figures["maps"], integrators, dts, advance)
             figures["choices"] = own.recommend(scene, one, integrators, rate, fingers, advance)
