@@ -12,12 +12,10 @@ from ..torsion import Twist, lock
 from ._bodies import Bodies
 from ._integrator import Integrator, Links
 
-_PARTS = (
-    2  # of each half: the rule's error at a step of 1 ms is then below 1e-5 rad in 2 s at 1 turn a second
-)
-_ROUNDS = (
-    3  # each brings the midpoint's spin nearer by a factor of about the angle turned in a quarter of a part
-)
+# Parts of each half: the rule's error at a step of 1 ms is then below 1e-5 rad in 2 s at 1 turn a second.
+_PARTS = 2
+# Each round brings the midpoint's spin nearer by a factor of about the angle turned in half a part.
+_ROUNDS = 3
 
 
 class LieMidpoint(Integrator):

@@ -31,7 +31,9 @@ def read(path: Path) -> tuple[dict[str, np.ndarray], Callable[[str, int], str]]:
             arrays = {_name(member): _read_array(path, archive, member) for member in members}
     except InputError:
         raise
-    except (zipfile.BadZipFile, NotImplementedError, ValueError):  # the last two from a damaged directory
+    # Of a damaged directory zipfile says BadZipFile, of a version in it that cannot be NotImplementedError, and of a
+    # name in it that is no text UnicodeDecodeError, a ValueError.
+    except (zipfile.BadZipFile, NotImplementedError, ValueError):
         problem = "expected a whole NPZ file, found another format or one that was cut short"
         raise InputError(f"{path}: {problem}") from None
     return arrays, lambda channel, row: f"row {row}"
