@@ -79,7 +79,7 @@ def fit(
     with following(trace, starts, max_steps) if progress else listen(trace):
         while True:
             used, called = [recordings[i] for i in kept], [names[i] for i in kept]
-            groups = grouped(scene, used, channels, called)
+            groups = grouped(scene, used, channels, called, parameters)
             problem = Problem(scene, groups, noise_of(used, noise, scene.integrator.dt.dtype), parameters)
             _check_count(problem)
             ends = _searches(problem, starts, spread, seed, max_steps)

@@ -9,6 +9,8 @@ from jaxtyping import Array, Float, Int
 from hapjax import InputError, Recording, Reply, Scene, State, init, rollout, rotation
 from hapjax.errors import within
 
+from .spells import forces_in
+
 CHANNELS = ("force", "pose")
 _LARGEST = 1e6  # N or m
 LOST = 1e6  # the whitened residual of what the model cannot follow
@@ -34,7 +36,8 @@ class Observation(eqx.Module):
     samples.
 
     `hips` (T, F, 3) m at intervals of the integrator's dt; `force` (N, F, 3) N; `pose` (N, O, 7); `gimbals` (T, F) rad,
-    where the scene's torsion reads them; `place`, which of the recordings it is.
+    where the scene's torsion reads them; `place`, which of the recordings it is; `spells` (S, L), its spells of contact
+    where they run side by side.
     """
 
     hips: Float[Array, "*r T F 3"]
@@ -42,6 +45,7 @@ class Observation(eqx.Module):
     pose: Samples | None
     gimbals: Float[Array, "*r T F"] | None = None
     place: Int[Array, "*r"] = eqx.field(default_factory=lambda: jnp.zeros((), jnp.int32))
+    spells: Int[Array, "*r S L"] | None = None
 
 
 class Noise(eqx.Module):
@@ -103,6 +107,9 @@ def residuals(scene: Scene, observation: Observation, noise: Noise) -> dict[str,
 
 def predicted(scene: Scene, observation: Observation) -> dict[str, Float[Array, "N n m"]]:
     """What the scene says of each observed channel at the times of its samples; NaN where a step was lost."""
+    if observation.spells is not None and observation.force is not None:
+        force, lost = forces_in(scene, observation.hips, observation.spells)
+        return {"force": jnp.where(lost, jnp.nan, observation.force.between(force))}
     state, reply = played(scene, observation.hips, observation.gimbals)
     found = {}
     if observation.force is not None:

@@ -38,6 +38,12 @@ class Parameter:
         return self.path if self.index is None else f"{self.path}[{self.index}]"
 
 
+def moves_surface(parameter: Parameter) -> bool:
+    """Whether it is a number of an object's place or shape, on which it depends when fingers touch the object."""
+    kind, _, part, *_ = [*parameter.path.split("."), "", ""]
+    return kind == "object" and part not in ("surface", "body")
+
+
 def find_leaf(scene: Scene, path: str) -> Float[Array, "*shape"]:
     """The leaf with a path such as `object.cube.surface.mu`. **Raises:** `InputError` where there is none."""
     node = _walk(scene, path)

@@ -14,8 +14,9 @@ from jaxtyping import Array, Float
 from hapjax import Recording, Scene
 
 from .observation import Noise, Observation, observation_of, residuals
-from .parameters import Parameter, values_of, with_values
+from .parameters import Parameter, moves_surface, values_of, with_values
 from .solve import half_square
+from .spells import spells_of
 
 # Twice a difference in loss is chi-squared with one degree of freedom, which exceeds this once in a hundred.
 NOTICEABLE = 6.635
@@ -47,7 +48,11 @@ class Problem(eqx.Module):
 
 
 def grouped(
-    scene: Scene, recordings: Sequence[Recording], channels: tuple[str, ...], names: Sequence[str]
+    scene: Scene,
+    recordings: Sequence[Recording],
+    channels: tuple[str, ...],
+    names: Sequence[str],
+    parameters: tuple[Parameter, ...],
 ) -> tuple[Observation, ...]:
     """Observations of equal sizes stacked along a first axis. **Raises:** `InputError` as
     `observation_of`."""
@@ -56,7 +61,13 @@ def grouped(
         laid = replace(observation_of(scene, recording, channels, name), place=jnp.asarray(place, jnp.int32))
         leaves, structure = jax.tree.flatten(laid)
         groups.setdefault((structure, tuple(x.shape for x in leaves)), []).append(laid)
-    return tuple(jax.tree.map(lambda *x: jnp.stack(x), *group) for group in groups.values())
+    stacked = (jax.tree.map(lambda *x: jnp.stack(x), *group) for group in groups.values())
+    if scene.moving() or any(moves_surface(p) for p in parameters):
+        return tuple(stacked)
+    return tuple(
+        group if group.gimbals is not None else replace(group, spells=spells_of(scene, group.hips))
+        for group in stacked
+    )
 
 
 def stacked_residuals(free: Float[Array, " p"], problem: Problem) -> Float[Array, " n"]:

@@ -110,8 +110,9 @@ def test_scipy_finds_the_same():
 
 
 def problem_of(scene, recordings, free=BOTH):
-    groups = grouped(scene, recordings, ("force", "pose"), ["r"] * len(recordings))
-    return Problem(scene, groups, noise_of(recordings, NOISE, jnp.float64), free_parameters(scene, free))
+    parameters = free_parameters(scene, free)
+    groups = grouped(scene, recordings, ("force", "pose"), ["r"] * len(recordings), parameters)
+    return Problem(scene, groups, noise_of(recordings, NOISE, jnp.float64), parameters)
 
 
 residuals_of = jax.jit(stacked_residuals)
