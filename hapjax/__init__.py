@@ -18,7 +18,9 @@ from .mesh_file import load_mesh as load_mesh
 from .packed import PackedStep as PackedStep
 from .packed import pack as pack
 from .prescribed import drag as drag
+from .recording import Finding as Finding
 from .recording import Recording as Recording
+from .recording import load_recording as load_recording
 from .scene import Object as Object
 from .scene import Scene as Scene
 from .scene import World as World

@@ -15,7 +15,8 @@ from tyro.conf import FlagCreatePairsOff, Positional
 from .errors import InputError, within
 from .extras import need
 from .files import check_makeable, check_writable
-from .recording import Recording
+from .recording import Recording, load_recording
+from .recording.ros_topics import parsed
 from .scene_file import load_scene
 from .simulate import init, rollout
 
@@ -35,22 +36,24 @@ def demo(out: Path = Path("hapjax-demo"), seed: int = 0) -> int:
     return run_demo(out, seed)
 
 
-def simulate(scene: Positional[Path], *, hip: Path, out: Path) -> None:
+def simulate(scene: Positional[Path], *, hip: Path, out: Path, topic: tuple[str, ...] = ()) -> None:
     """Replay a path of fingertips through a scene, and write the forces (N) and poses (m) it answers with.
 
     Example: hapjax simulate cube.toml --hip lift.npz --out answer.csv
 
     Args:
         scene: Scene file (TOML).
-        hip: Recording (.npz, .csv) whose channel hip (m, world frame) is replayed at the scene's time step, and, where
-            the scene's torsion is a gimbal, its channel gimbal (rad).
-        out: Recording to write (.npz, .csv): hip, force on the fingers, pose of the moving objects.
+        hip: Recording (.npz, .csv, .mcap, .parquet) whose channel hip (m, world frame) is replayed at the scene's time
+            step, and, where the scene's torsion is a gimbal, its channel gimbal (rad).
+        out: Recording to write (.npz, .csv, .mcap, .parquet): hip, force on the fingers, pose of the moving objects.
+        topic: Of a ROS 2 bag: the topics of hip, one a finger, such as hip=/left/tip,/right/tip.
     """
+    topics = parsed(topic)
     Recording.check_writable(out)
     with jax.enable_x64(True):
         loaded = load_scene(scene)
         dt = float(loaded.integrator.dt)
-        recording = Recording.load(hip)
+        recording = _loaded(hip, topics)
         with within(f"{hip}: "):
             path = recording.hip_every(dt)
             assert recording.hip_t is not None
@@ -85,13 +88,14 @@ def fit(
     seed: int = 0,
     json: Path | None = None,
     report: Path | None = None,
+    topic: tuple[str, ...] = (),
 ) -> None:
     """Find numbers of a scene from recordings, with 95 % intervals.
 
     Example: hapjax fit lift.npz --scene cube.toml --free object.cube.surface.mu object.cube.surface.stiffness
 
     Args:
-        recordings: Files (.npz, .csv) with hip (m) and force (N, on the finger) or pose (m).
+        recordings: Files (.npz, .csv, .mcap, .parquet) with hip (m) and force (N, on the finger) or pose (m).
         scene: Scene file (TOML); its free numbers are the first start.
         free: Paths of the free numbers, as in the scene file, such as object.cube.body.mass.
         observe: What is compared with the model, of what was recorded.
@@ -100,14 +104,16 @@ def fit(
         seed: Of the starts, 0 or above.
         json: File for the figures.
         report: Folder for the report, an HTML page.
+        topic: Of ROS 2 bags: the topics of each channel, one a finger or object, such as hip=/left/tip,/right/tip
+            force=/left/sensor,/right/sensor pose=/cube.
     """
-    fitting = need("hapjax_fitting", "fitting")
+    fitting, topics = need("hapjax_fitting", "fitting"), parsed(topic)
     with jax.enable_x64(True):
         if json is not None:
             check_writable(json)
         if report is not None:
             check_makeable(report)
-        loaded = [Recording.load(path) for path in recordings]
+        loaded = [load_recording(path, topics) for path in recordings]
         result = fitting.fit(
             load_scene(scene),
             loaded,
@@ -186,6 +192,14 @@ def benchmark(
         batch.report(loaded, fingers, json)
     else:
         parts.report(loaded, fingers, json)
+
+
+def _loaded(path: Path, topics) -> Recording:
+    """A recording, cleaned; what was found is said on stderr."""
+    recording = load_recording(path, topics)
+    for finding in recording.findings:
+        print(f"hapjax: {path}: {finding}", file=sys.stderr)
+    return recording
 
 
 _SHELLS = ("bash", "zsh", "tcsh")

@@ -29,7 +29,7 @@ def assert_same(one, other):
 
 
 @st.composite
-def recordings(draw):
+def arrays_of_recordings(draw):
     fingers, objects = draw(st.integers(1, 3)), draw(st.integers(1, 2))
     shapes = {"hip": (fingers, 3), "force": (fingers, 3), "gimbal": (fingers,), "pose": (objects, 7)}
     measured = draw(st.sets(st.sampled_from(CHANNELS), min_size=1))
@@ -42,11 +42,12 @@ def recordings(draw):
     if "pose" in arrays:
         rng = np.random.default_rng(draw(st.integers(0, 2**32)))
         arrays["pose"][..., 3:] = unit_quaternions(rng, len(arrays["pose_t"]), objects)
-    return Recording(**arrays)
+    return arrays
 
 
-@given(recording=recordings(), suffix=st.sampled_from([".npz", ".csv"]))
-def test_every_number_comes_back(recording, suffix, tmp_path_factory):
+@given(arrays=arrays_of_recordings(), suffix=st.sampled_from([".npz", ".csv", ".mcap", ".parquet"]))
+def test_every_number_comes_back(arrays, suffix, tmp_path_factory):
+    recording = Recording(**arrays)
     path = tmp_path_factory.mktemp("round") / f"trip{suffix}"
     recording.save(path)
     assert_same(Recording.load(path), recording)
@@ -297,8 +298,8 @@ MALFORMED_FILES = {
         zipped([("hip.npy", bytes(80 * 2**20)), ("hip_t.npy", npy(T2))], zipfile.ZIP_DEFLATED),
         ["83886", "at most", "save it uncompressed"],
     ),
-    "data.mat": (b"MATLAB", ["*.npz or *.csv"]),
-    "no_suffix": (b"t,hip0_x\n", ["*.npz or *.csv"]),
+    "data.mat": (b"MATLAB", ["*.npz, *.csv, *.mcap, *.parquet"]),
+    "no_suffix": (b"t,hip0_x\n", ["*.npz, *.csv, *.mcap, *.parquet"]),
 }
 
 

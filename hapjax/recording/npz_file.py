@@ -2,7 +2,6 @@
 
 import zipfile
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +9,11 @@ import numpy as np
 from ..errors import InputError
 from ..files import replacing
 from .channels import ARRAYS
-
-# A file may unpack to 20 times its size and 64 MiB more: real recordings shrink to half at best.
-UNPACKED_RATIO, UNPACKED_MARGIN = 20, 64 * 2**20
+from .content import Content, check_unpacked
 
 
-def read(path: Path) -> tuple[dict[str, np.ndarray], Callable[[str, int], str]]:
-    """The arrays of an NPZ file by name, and how a row of them is called.
+def read(path: Path) -> Content:
+    """What an NPZ file holds.
 
     **Raises:** `hapjax.InputError` for what is no NPZ file, a damaged or pickled array, an unknown name, or a
     file that would unpack to far more than its size; `OSError` if it cannot be opened.
@@ -36,7 +33,7 @@ def read(path: Path) -> tuple[dict[str, np.ndarray], Callable[[str, int], str]]:
     except (zipfile.BadZipFile, NotImplementedError, ValueError):
         problem = "expected a whole NPZ file, found another format or one that was cut short"
         raise InputError(f"{path}: {problem}") from None
-    return arrays, lambda channel, row: f"row {row}"
+    return Content(arrays)
 
 
 def write(arrays: dict[str, np.ndarray], path: Path) -> None:
@@ -56,11 +53,7 @@ def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> Non
     for name, times in Counter(names).most_common(1):
         if times > 1:
             raise InputError(f"{path}: expected each array once, found {name!r} {times} times")
-    unpacked = sum(member.file_size for member in members)
-    limit = UNPACKED_RATIO * size + UNPACKED_MARGIN
-    if unpacked > limit:
-        problem = f"expected {size} bytes to unpack to at most {limit}, found {unpacked}"
-        raise InputError(f"{path}: {problem}; save it uncompressed")
+    check_unpacked(path, size, sum(member.file_size for member in members))
 
 
 def _read_array(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Recording: fingers, forces, gimbals and object poses as they were logged, each with its own clock."""
 
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,10 +9,13 @@ import numpy as np
 
 from ..errors import InputError
 from ..files import check_writable
-from . import csv_file, npz_file
+from . import csv_file, mcap_file, npz_file, parquet_file
 from .channels import ARRAYS, CHANNELS, Refusal, checked
+from .cleaning import cleaned
+from .content import Content
+from .finding import Finding
 
-_FORMATS = {".npz": npz_file, ".csv": csv_file}
+_FORMATS = {".npz": npz_file, ".csv": csv_file, ".mcap": mcap_file, ".parquet": parquet_file}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,6 +33,7 @@ class Recording:
     - `gimbal`: (T, F) rad, angle of the finger's instrumented gimbal; `gimbal_t`: (T,) s.
     - `pose`: (T, O, 7), x y z in m and the unit quaternion qw qx qy qz of each moving object in the scene's
       order, or (T, 7) for one object; `pose_t`: (T,) s. Quaternions are normalised.
+    - `findings`: what was noticed and repaired when it was loaded.
 
     **Raises:** `hapjax.InputError`, naming the channel, the row (counted from 0) and what was expected: wrong
     shapes, no real numbers, NaN or infinity, times that do not increase, samples without times, channels of
@@ -43,6 +48,7 @@ class Recording:
     gimbal_t: np.ndarray | None = None
     pose: np.ndarray | None = None
     pose_t: np.ndarray | None = None
+    findings: tuple[Finding, ...] = ()
 
     def __post_init__(self):
         counts: dict[str, tuple[str, int]] = {}
@@ -101,28 +107,19 @@ class Recording:
         return np.stack([np.interp(times, self.gimbal_t, angle) for angle in self.gimbal.T], axis=-1)
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> "Recording":
-        """Read a recording from a `.npz` or `.csv` file.
+    def load(
+        cls, path: str | os.PathLike[str], topics: Mapping[str, Sequence[str]] | None = None
+    ) -> "Recording":
+        """Read a recording as it is from a `.npz`, `.csv`, `.mcap` or `.parquet` file; `load_recording` cleans it too.
+
+        **Arguments:** `topics`, of a ROS 2 bag (`.mcap`): the topics of `hip`, `force` and `pose`, one for each finger or
+        object, such as `{"hip": ["/left/tip", "/right/tip"], "force": ["/left/sensor", "/right/sensor"]}`.
 
         **Raises:** `hapjax.InputError`, naming the file, the channel, the row (a line of a CSV file, counted
-        from 1; an index into an NPZ file's arrays, counted from 0) and what was expected.
+        from 1; an index into an NPZ file's arrays, a row of a Parquet file's table or a message of an MCAP file's
+        channel, counted from 0) and what was expected.
         """
-        path = Path(path)
-        try:
-            arrays, place = _format(path).read(path)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-        except InputError:
-            raise
-        except ValueError as error:  # a NUL in the name
-            raise InputError(f"{path}: cannot be read: {error}") from error
-        try:
-            return cls(**arrays)
-        except Refusal as refusal:
-            row = "" if refusal.row is None else f", {place(refusal.channel, refusal.row)}"
-            raise InputError(f"{path}, {refusal.channel}{row}: {refusal.problem}") from None
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+        return _built(Path(path), _content(Path(path), topics))
 
     @staticmethod
     def check_writable(path: str | os.PathLike[str]) -> None:
@@ -131,7 +128,8 @@ class Recording:
         check_writable(path)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the recording as `.npz` or `.csv`, whole or not at all; `load` gives back the very numbers.
+        """Write the recording as `.npz`, `.csv`, `.mcap` or `.parquet`, whole or not at all; `load` gives back the very
+        numbers.
 
         **Raises:** `hapjax.InputError` if the suffix is another, or the file cannot be written.
         """
@@ -140,7 +138,48 @@ class Recording:
         _format(path).write({name: array for name, array in arrays.items() if array is not None}, path)
 
 
+def load_recording(
+    path: str | os.PathLike[str], topics: Mapping[str, Sequence[str]] | None = None
+) -> Recording:
+    """Read a recording from a file, clean it, and say in its `findings` what was noticed and what was done.
+
+    Samples that are no numbers, that come twice or whose time goes back are dropped; so are the repetitions of a held
+    sample and lone samples that no finger could have reached. Dropouts and odd units of time are only reported.
+
+    **Arguments:** as for `Recording.load`.
+
+    **Raises:** `hapjax.InputError` as `Recording.load`, and where so much would have to be dropped that the recording
+    needs a look.
+    """
+    path = Path(path)
+    return _built(path, cleaned(path, _content(path, topics)))
+
+
+def _content(path: Path, topics: Mapping[str, Sequence[str]] | None) -> Content:
+    form = _format(path)
+    if topics is not None and form is not mcap_file:
+        raise InputError(f"{path}: topics are named for it; expected a ROS 2 bag, *.mcap")
+    try:
+        return form.read(path) if topics is None else mcap_file.read(path, topics)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except InputError:
+        raise
+    except ValueError as error:  # a NUL in the name
+        raise InputError(f"{path}: cannot be read: {error}") from error
+
+
+def _built(path: Path, content: Content) -> Recording:
+    try:
+        return Recording(**content.arrays, findings=content.findings)  # pyright: ignore[reportArgumentType]
+    except Refusal as refusal:
+        row = "" if refusal.row is None else f", {content.place(refusal.channel, refusal.row)}"
+        raise InputError(f"{path}, {refusal.channel}{row}: {refusal.problem}") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
 def _format(path: Path):
     if path.suffix.lower() not in _FORMATS:
-        raise InputError(f"{path}: expected a recording named {' or '.join('*' + s for s in _FORMATS)}")
+        raise InputError(f"{path}: expected a recording named {', '.join('*' + s for s in _FORMATS)}")
     return _FORMATS[path.suffix.lower()]
