@@ -126,6 +126,8 @@ def fit(
             names=[str(path) for path in recordings],
         )
         Console().print(fitting.table(result))
+        for finding in result.findings:
+            print(f"finding: {finding}")
         if json is not None:
             result.save_json(json)
         if report is not None:

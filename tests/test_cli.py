@@ -76,17 +76,25 @@ def test_fit_finds_what_simulate_was_given(tmp_path, stroke, capsys):
     truth = write_table(tmp_path / "truth.toml", 0.5, 1000.0)
     guess = write_table(tmp_path / "guess.toml", 0.8, 600.0)
     assert main(["simulate", truth, "--hip", stroke, "--out", str(tmp_path / "answer.npz")]) == 0
+    answer = dict(np.load(tmp_path / "answer.npz"))
+    answer["force"][7] = np.nan
+    np.savez(tmp_path / "answer.npz", **answer)
     free = ["object.table.surface.mu", "object.table.surface.stiffness"]
     figures, report = tmp_path / "fit.json", tmp_path / "report"
     arguments = ["--scene", guess, "--free", *free, "--json", str(figures), "--report", str(report)]
     assert main(["fit", str(tmp_path / "answer.npz"), *arguments]) == 0
-    assert "object.table.surface.mu" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "object.table.surface.mu" in out
+    assert f"finding: {tmp_path / 'answer.npz'}: not a number: 1 of 400 samples of force" in out
     found = json.loads(figures.read_text())
+    (finding,) = found["findings"]
+    assert (finding["channel"], finding["kind"], finding["at"]) == ("force", "not a number", 0.007)
     assert found["converged"]
     for name, value in zip(free, (0.5, 1000.0), strict=True):
         assert found["parameters"][name]["identified"]
         assert found["parameters"][name]["estimate"] == pytest.approx(value, rel=1e-5)
-    assert (report / "report.html").read_text().lower().startswith("<!doctype html>")
+    page = (report / "report.html").read_text()
+    assert page.lower().startswith("<!doctype html>") and "not a number: 1 of 400 samples" in page
 
 
 @pytest.mark.slow

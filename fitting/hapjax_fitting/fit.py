@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from numbers import Real
 from typing import Any
 
@@ -13,6 +14,7 @@ from jaxtyping import Array, Float
 from hapjax import InputError, Recording, Scene, cast
 
 from .breakaway import between, broken_away, is_static
+from .findings import findings_of
 from .grip import cost_of_grip, holding_instead, is_needed, largest_ratio, raised, slipping_instead
 from .noise import noise_of, spread_of
 from .observation import CHANNELS, LOST
@@ -88,7 +90,9 @@ def fit(
                 break
             kept = [place for i, place in enumerate(kept) if i not in lost]
     missing = len(recordings) - len(kept) + len(lost)
-    return _result(problem, ends, trace, used, called, time.perf_counter() - began, noise, missing)
+    result = _result(problem, ends, trace, used, called, time.perf_counter() - began, noise, missing)
+    friction = any(".mu" in parameter.path for parameter in parameters)
+    return replace(result, findings=findings_of(scene, recordings, names, friction))
 
 
 def _searches(problem: Problem, starts: int, spread: float, seed: int, max_steps: int) -> Solutions:

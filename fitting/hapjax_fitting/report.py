@@ -102,7 +102,7 @@ def _page(result: FitResult, truth: Mapping[str, float] | None, figures) -> str:
         f"<title>hapjax fit</title><style>{_STYLE}</style></head><body>\n"
         f"<h1>Fit of {_count(len(result.parameters), 'parameter')} to "
         f"{_count(len(result.recordings), 'recording')}</h1>\n"
-        f"{_html_table(result, truth)}\n{_summary(result)}\n{sections}</body></html>\n"
+        f"{_html_table(result, truth)}\n{_summary(result)}\n{_findings(result)}{sections}</body></html>\n"
     )
 
 
@@ -138,6 +138,12 @@ def _summary(result: FitResult) -> str:
         f"{result.loss:.6g}; it took {result.wall_s:.1f} s.</p>",
     ]
     return "\n".join(lines + [f'<p class="warn">{escape(w)}</p>' for w in _warnings(result)])
+
+
+def _findings(result: FitResult) -> str:
+    """What is odd about the recordings, as a section; nothing where nothing is."""
+    items = "".join(f"<li>{escape(str(finding))}</li>" for finding in result.findings)
+    return f'<section><h2>Findings</h2><ul class="warn">{items}</ul></section>\n' if items else ""
 
 
 def _warnings(result: FitResult) -> list[str]:

@@ -4,12 +4,12 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from hapjax import Recording, Scene
+from hapjax import Finding, Recording, Scene
 from hapjax.files import replacing
 
 from .uncertainty import correlation
@@ -41,7 +41,7 @@ class FitResult:
     tolerances, which is no evidence of a good fit: compare `starts_at_best` of `starts`; `noise`, the
     standard deviations that the residuals were divided by: `force` N, `position` m, `angle` rad; `trace`:
     each start's loss by step; `lost`, in how many recordings the model left the range of sense: they were dropped, and the
-    fit is that of the others, which `recordings` holds.
+    fit is that of the others, which `recordings` holds; `findings`, what is odd about the recordings.
     """
 
     parameters: Mapping[str, Estimate]
@@ -59,6 +59,7 @@ class FitResult:
     recordings: tuple[Recording, ...]
     names: tuple[str, ...]
     lost: int = 0
+    findings: tuple[Finding, ...] = ()
 
     @property
     def correlation(self) -> np.ndarray:
@@ -85,6 +86,7 @@ class FitResult:
             "starts_at_best": self.starts_at_best,
             "wall_s": self.wall_s,
             "lost": self.lost,
+            "findings": [asdict(finding) for finding in self.findings],
         }
         return _finite(figures)
 

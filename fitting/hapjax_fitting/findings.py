@@ -1,0 +1,197 @@
+"""What a recording says that cannot be so: the lies that a user can tell without knowing, each by its name.
+
+Each check compares the recording with the scene's geometry and tells what is wrong from what is only not yet fitted:
+stiffness and friction may be off by a factor of ten. A lie that was found is undone in a copy before the next check, so that
+one does not show up as another. Nothing is changed in what is fitted: all is only reported.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hapjax import Finding, Recording, Scene
+
+from .clocks import clock_of
+from .evidence import Evidence, evidence_of, scaled
+from .fingers import fingers_of
+from .motion import no_slip, stuck
+
+_TURN = 2 * np.pi
+# Each with the factor by which it must explain the stiffness better than millimetres, which are common.
+_LENGTHS = {1e-3: ("millimetres", 1.0), 1e-2: ("centimetres", 3.0), 1e3: ("kilometres", 3.0)}
+_FORCES = {1e-3: "millinewtons", 1e3: "kilonewtons"}
+_OFF = 50.0  # by what factor a stiffness may be wrong before it is a wrong unit
+_HAND = (0.02, 200.0)  # N, what fingers press with
+_REACH = 3.0  # m, what no fingertip travels
+_WIDE, _NARROW = 0.5, 1e-3  # m: what is taken for too large a unit, or too small a one, spans more, or less
+
+
+def findings_of(
+    scene: Scene, recordings: Sequence[Recording], names: Sequence[str], friction: bool = True
+) -> tuple[Finding, ...]:
+    """What is odd about recordings of a scene, with the evidence in a sentence each, after what loading them found.
+
+    Of each recording: units of length, force and angle; force of the wrong sign; fingers swapped; clocks shifted against
+    each other; no contact; no force; a stuck encoder; and, with `friction` to be found, no slip.
+
+    **Arguments:** `names`, what the recordings are called.
+    """
+    found = []
+    for recording, name in zip(recordings, names, strict=True):
+        every = [*recording.findings, *lies(scene, recording, friction)]
+        found += [replace(finding, recording=name) for finding in every]
+    return tuple(found)
+
+
+def lies(scene: Scene, recording: Recording, friction: bool = True) -> list[Finding]:
+    """What the scene says is wrong with a recording."""
+    found = list(_angles(recording))
+    evidence = evidence_of(scene, recording)
+    if evidence is None:
+        return found
+    evidence, units = _units(evidence)
+    found += units
+    nothing = _no_contact(evidence)
+    if nothing is not None:
+        return [*found, nothing]
+    if evidence.force is None:
+        return found
+    checks: list[Callable[[Evidence], tuple[Evidence, list[Finding]]]] = [fingers_of, clock_of]
+    for check in checks:
+        evidence, more = check(evidence)
+        found += more
+    frozen = stuck(evidence)
+    return found + frozen + (no_slip(evidence) if friction and not frozen else [])
+
+
+def _angles(recording: Recording):
+    if recording.gimbal is None:
+        return
+    span = float(np.ptp(recording.gimbal, axis=0).max())
+    if span > _TURN:
+        sentence = (
+            f"gimbal turns through {span:.4g} rad, more than a whole turn: its angles look like degrees"
+        )
+        yield Finding("gimbal", "angle unit", sentence)
+
+
+def _units(evidence: Evidence) -> tuple[Evidence, list[Finding]]:
+    """The evidence with units that make sense, and what was wrong with them."""
+    if _makes_sense(evidence):
+        return evidence, []
+    lengths = _length(evidence)
+    forces = _force(evidence)
+    if lengths is None or (forces is not None and not _hand(evidence)):
+        return (evidence, []) if forces is None else forces
+    return lengths
+
+
+def _length(evidence: Evidence) -> tuple[Evidence, list[Finding]] | None:
+    recording = evidence.recording
+    channels = [("hip", "pose"), ("hip",), ("pose",)] if recording.pose is not None else [("hip",)]
+    for names in channels:
+        span, best, read = _span(getattr(recording, names[0])), np.inf, None
+        for factor, (unit, rare) in _LENGTHS.items():
+            if (factor < 1 and span < _WIDE) or (factor > 1 and span > _NARROW):
+                continue  # shrunk to a point, anything is inside something
+            other = evidence_of(evidence.scene, scaled(recording, **dict.fromkeys(names, factor)))
+            if other is not None and _makes_sense(other) and _told_apart(other):
+                measured, given = _stiffness(other)
+                off = rare * max(measured / given, given / measured)
+                if off < best:
+                    best, read = off, (unit, other)
+        if read is not None:
+            unit, other = read
+            sentence = (
+                f"{' and '.join(names)} {'look' if len(names) > 1 else 'looks'} like {unit}, expected metres: it spans "
+                f"{span:.4g} m and, so read, {_agreement(other):.0%} of what is felt is felt where the scene's surfaces are"
+            )
+            return other, [Finding(names[0], "length unit", sentence)]
+    return None
+
+
+def _force(evidence: Evidence) -> tuple[Evidence, list[Finding]] | None:
+    if evidence.force is None:
+        return None
+    for factor, unit in _FORCES.items():
+        other = evidence_of(evidence.scene, scaled(evidence.recording, force=factor))
+        if other is not None and _makes_sense(other):
+            typical = float(np.median(evidence.strength[evidence.pressed]))
+            times = _stiffness(evidence)[0] / _stiffness(evidence)[1]
+            sentence = (
+                f"force looks like {unit}, expected newtons: it is {typical:.4g} N typically, "
+                f"{times:.3g} times what the scene's stiffness gives"
+            )
+            return other, [Finding("force", "force unit", sentence)]
+    return None
+
+
+def _makes_sense(evidence: Evidence) -> bool:
+    """Whether lengths and forces go together: force where there is touch, of about the stiffness in the scene."""
+    if evidence.force is None:
+        return bool(evidence.touching.any()) and _span(evidence.recording.hip) < _REACH
+    if not evidence.pressed.any():
+        return True
+    if _agreement(evidence) < 0.5:
+        return False
+    measured, given = _stiffness(evidence)
+    return given / _OFF <= measured <= given * _OFF
+
+
+def _told_apart(evidence: Evidence) -> bool:
+    """Whether fingers mostly are in surfaces when they feel force, and out of them when not."""
+    return evidence.force is None or float(np.mean(evidence.touching == evidence.pressed)) > 0.6
+
+
+def _agreement(evidence: Evidence) -> float:
+    """The part of the moments with force at which the finger touches something."""
+    pressed = evidence.touching if evidence.force is None else evidence.pressed
+    return float(np.mean(evidence.touching[pressed])) if pressed.any() else 0.0
+
+
+def _stiffness(evidence: Evidence) -> tuple[float, float]:
+    """What force over depth is measured and given, N/m."""
+    if evidence.force is None:
+        return 1.0, 1.0
+    both = evidence.touching & evidence.pressed
+    surfaces = [o.surface for o in evidence.scene.object.values() if o.surface is not None]
+    given = float(np.median([float(surface.stiffness) for surface in surfaces]))
+    measured = np.sum(evidence.strength[both]) / np.sum(evidence.places.depth[both]) if both.any() else given
+    return float(measured), given
+
+
+def _span(samples) -> float:
+    """How far positions reach, m."""
+    return float(np.ptp(samples[..., :3], axis=0).max())
+
+
+def _hand(evidence: Evidence) -> bool:
+    """Whether the forces are such as fingers press with."""
+    typical = float(np.median(evidence.strength[evidence.pressed]))
+    return _HAND[0] <= typical <= _HAND[1]
+
+
+def _no_contact(evidence: Evidence) -> Finding | None:
+    """Nothing touched, or nothing felt."""
+    strongest = 0.0 if evidence.force is None else float(evidence.strength.max())
+    if evidence.whole and not evidence.touching.any():
+        nearest = float(-evidence.places.depth.max())
+        felt = "" if strongest <= 5 * evidence.noise else f", though the force reaches {strongest:.3g} N"
+        sentence = f"no finger touches anything of the scene: {1e3 * nearest:.4g} mm are the least between them{felt}"
+        return Finding("hip", "no contact", sentence)
+    if evidence.force is None:
+        return None
+    touching, noise = evidence.touching, evidence.noise
+    quiet = strongest <= 6 * noise or strongest == 0
+    if evidence.whole and quiet and touching.sum() > 20:
+        sentence = (
+            f"no force is above its noise, {noise:.2g} N, though fingers are in surfaces at "
+            f"{touching.sum()} of {touching.size} moments"
+        )
+        return Finding("force", "no force", sentence)
+    if quiet:
+        return Finding(
+            "force", "no contact", f"no force is above its noise, {noise:.2g} N: nothing was touched"
+        )
+    return None

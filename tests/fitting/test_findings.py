@@ -1,0 +1,195 @@
+"""Each lie that a user can tell of a recording gets the finding that names it, and no other; the truth gets none."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from fitting_cases import floor, forces, held_cube, shaken_cube, stroke
+from hapjax import Recording, cast
+from hapjax_fitting.evidence import scaled
+from hapjax_fitting.findings import findings_of, lies
+
+STEPS = 500
+
+
+@cache
+def strokes(length=0.02):
+    """Two fingers on one floor, one after the other, which press differently: times, path and noiseless forces."""
+    t, first = stroke(STEPS, length)
+    second = np.roll(stroke(STEPS, -1.5 * length, depth=0.004)[1], 60, axis=0)
+    path = np.concatenate([first, second + [0.1, 0.02, 0]], axis=1)
+    return t, path, forces(floor(), path)
+
+
+def on_floor(seed=0, sigma=0.02, length=0.02, every=1) -> Recording:
+    t, path, clean = strokes(length)
+    noise = sigma * np.random.default_rng(seed).standard_normal(clean.shape)
+    return Recording(hip=path, hip_t=t, force=(clean + noise)[::every], force_t=t[::every])
+
+
+@cache
+def in_hand(seed=0) -> Recording:
+    return shaken_cube(seed)
+
+
+def found(recording, scene=None, friction=False):
+    """The kinds and channels that are found, and in what words."""
+    scene = scene or (floor() if recording.pose is None else held_cube())
+    every = lies(cast(scene, np.float64), recording, friction)
+    for finding in every:
+        assert "\n" not in str(finding) and finding.sentence and finding.done == "only reported"
+    return {(finding.kind, finding.channel) for finding in every}, " ".join(map(str, every))
+
+
+# What is true ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.02, 0.2])
+@pytest.mark.parametrize("every", [1, 10])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_true_recording_gives_no_finding(seed, every, sigma):
+    """Whatever stiffness and friction the scene begins with."""
+    for scene in (floor(), floor(mu=0.06, stiffness=8000.0), floor(mu=3.0, stiffness=80.0)):
+        assert found(on_floor(seed, sigma, every=every), scene, friction=True) == (set(), "")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_true_grasp_gives_no_finding(seed):
+    for scene in (held_cube(), held_cube(mass=2.0, stiffness=100.0)):
+        assert found(in_hand(seed), scene) == (set(), "")
+
+
+def test_positions_alone_give_no_finding():
+    bare = replace(on_floor(), force=None, force_t=None)
+    assert found(replace(bare, pose=in_hand().pose, pose_t=in_hand().pose_t), floor(), friction=True) == (
+        set(),
+        "",
+    )
+
+
+# What is not ----------------------------------------------------------------------------------------------
+
+
+def frozen(recording, axis):
+    hip = recording.hip.copy()
+    third = len(hip) // 3
+    hip[third : 2 * third, 0, axis] = hip[third, 0, axis]
+    return replace(recording, hip=hip)
+
+
+def dead(recording, axis):
+    """From the beginning to the end."""
+    hip = recording.hip.copy()
+    hip[:, 0, axis] = hip[len(hip) // 2, 0, axis]
+    return replace(recording, hip=hip)
+
+
+def silent(recording):
+    noise = 0.02 * np.random.default_rng(9).standard_normal(recording.force.shape)
+    return replace(recording, force=noise)
+
+
+def one_reversed(recording):
+    return replace(recording, force=recording.force * [[[1.0], [-1.0]]])
+
+
+# The lie; what is found: kind and channel; a part of the words.
+LIES = {
+    "force on the object": (
+        lambda r: replace(r, force=-r.force),
+        ("force sign", "force"),
+        "points into the surface in 100%",
+    ),
+    "one sensor reversed": (one_reversed, ("force sign", "force"), "force of finger 1"),
+    "millimetres": (lambda r: scaled(r, hip=1e3, pose=1e3), ("length unit", "hip"), "millimetres"),
+    "fingers in millimetres": (
+        lambda r: scaled(r, hip=1e3),
+        ("length unit", "hip"),
+        "hip looks like millimetres",
+    ),
+    "millinewtons": (lambda r: scaled(r, force=1e3), ("force unit", "force"), "millinewtons"),
+    "kilonewtons": (lambda r: scaled(r, force=1e-3), ("force unit", "force"), "kilonewtons"),
+    "late force": (lambda r: replace(r, force_t=r.force_t + 0.02), ("shifted clock", "force"), "force is"),
+    "early force": (lambda r: replace(r, force_t=r.force_t - 0.03), ("shifted clock", "force"), "force is"),
+    "swapped fingers": (
+        lambda r: replace(r, force=r.force[:, ::-1]),
+        ("swapped fingers", "force"),
+        "force 1 to finger 0",
+    ),
+    "beside the scene": (
+        lambda r: replace(r, hip=r.hip + [0, 0, 0.2]),
+        ("no contact", "hip"),
+        "no finger touches",
+    ),
+    "force unplugged": (silent, ("no force", "force"), "above its noise"),
+    "x stuck for a while": (lambda r: frozen(r, 0), ("stuck encoder", "hip"), "x of finger 0 stays"),
+}
+FLOOR_LIES = {
+    "z stuck for a while": (lambda r: frozen(r, 2), ("stuck encoder", "hip"), "z of finger 0 stays"),
+    "x never moves": (lambda r: dead(r, 0), ("stuck encoder", "hip"), "friction pulls along it"),
+    "z never moves": (lambda r: dead(r, 2), ("stuck encoder", "hip"), "from what its depth gives"),
+    "gimbal in degrees": (
+        lambda r: replace(r, gimbal=90 * np.sin(9 * r.hip[..., 0] / 0.02), gimbal_t=r.hip_t),
+        ("angle unit", "gimbal"),
+        "degrees",
+    ),
+}
+CUBE_LIES = {
+    "centimetres": (lambda r: scaled(r, hip=1e2, pose=1e2), ("length unit", "hip"), "centimetres"),
+    "poses in millimetres": (
+        lambda r: scaled(r, pose=1e3),
+        ("length unit", "pose"),
+        "pose looks like millimetres",
+    ),
+    "late poses": (lambda r: replace(r, pose_t=r.pose_t + 0.03), ("shifted clock", "pose"), "pose is"),
+    "late fingers": (lambda r: replace(r, hip_t=r.hip_t + 0.03), ("shifted clock", "hip"), "hip is"),
+}
+
+
+@pytest.mark.parametrize(("sigma", "seed"), [(0.0, 0), (0.02, 1), (0.1, 2)])
+@pytest.mark.parametrize("lie", LIES | FLOOR_LIES)
+def test_each_lie_on_a_floor_is_named(lie, sigma, seed):
+    tell, kind, words = (LIES | FLOOR_LIES)[lie]
+    for scene in (floor(), floor(mu=0.2, stiffness=250.0)):
+        kinds, said = found(tell(on_floor(seed, sigma)), scene, friction=True)
+        assert kinds == {kind}, said
+        assert words in said, said
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("lie", LIES | CUBE_LIES)
+def test_each_lie_of_a_grasp_is_named(lie, seed):
+    tell, kind, words = (LIES | CUBE_LIES)[lie]
+    kinds, said = found(tell(in_hand(seed)))
+    assert kinds == {kind}, said
+    assert words in said, said
+
+
+@pytest.mark.parametrize("lag", [0.005, -0.012, 0.1])
+def test_the_size_of_a_shift_is_told(lag):
+    (finding,) = lies(
+        cast(floor(), np.float64), replace(on_floor(3), force_t=on_floor().force_t + lag), False
+    )
+    assert finding.kind == "shifted clock"
+    told = float(finding.sentence.split(" is ")[1].split(" ms")[0])
+    assert told == pytest.approx(1e3 * abs(lag), abs=1.0)
+    assert ("late" if lag > 0 else "early") in finding.sentence
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.02])
+def test_what_never_slips_is_named(sigma):
+    """Where a mu is wanted; the strokes that slide are not, though the scene's mu would hold them."""
+    short = on_floor(0, sigma, length=5e-4)
+    assert found(short, friction=True)[0] == {("no slip", "force")}
+    assert found(short, friction=False)[0] == set()
+    assert found(on_floor(0, sigma), floor(mu=30.0), friction=True)[0] == set()
+    assert found(in_hand(), friction=True)[0] == {("no slip", "force")}
+
+
+def test_several_recordings_are_told_apart():
+    recordings = [on_floor(), LIES["force on the object"][0](on_floor(1))]
+    every = findings_of(cast(floor(), np.float64), recordings, ["a.npz", "b.npz"])
+    assert {finding.recording for finding in every} == {"b.npz"}
+    assert str(every[0]).startswith("b.npz: force sign: ")
