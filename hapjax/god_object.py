@@ -3,6 +3,8 @@
 The point is a finger's haptic interface point (HIP) or a point of another object; the same code serves both.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -110,13 +112,16 @@ def or_apart(
 ) -> tuple[SurfacePoint, Bool[Array, "n"]]:
     """The surface points that hold points (m), of those that touch nothing the closest ones, with depths up to 0.
 
-    Also which points have a depth. One that came in by no face has none, nor one outside a mesh: to look for it would
-    cost with the mesh's size.
+    Also which points have a depth. One that came in by no face has none, nor one far from a mesh: see
+    `Mesh.closest_within`.
     """
+    apart = near.depth <= 0
     if isinstance(shape, Mesh):
-        return near, near.depth > 0
-    closest = jax.vmap(shape.closest)(points)
-    outside = (near.depth <= 0) & (closest.depth <= 0)
+        closest, found = jax.vmap(shape.closest_within)(points, apart)
+        closest = dataclasses.replace(closest, corner=near.corner)
+    else:
+        closest, found = jax.vmap(shape.closest)(points), True
+    outside = apart & found & (closest.depth <= 0)
 
     def pick(out, held):
         return jnp.where(outside.reshape(outside.shape + (1,) * (held.ndim - 1)), out, held)

@@ -9,26 +9,31 @@ import numpy as np
 
 from .errors import InputError, within
 from .extras import need
-from .shape import Convex, Mesh
+from .shape import CONTACT_POINTS, Convex, Mesh
 
 _SUFFIXES = (".stl", ".obj", ".ply", ".glb")
 _LARGEST = 512 * 2**20  # bytes; some ten million triangles
 _ALLOWED = f"allowed: a file ending in {', '.join(_SUFFIXES)}"
-_FIELDS = {Mesh: ("file", "scale", "shaded"), Convex: ("points", "file", "scale")}
+_FIELDS = {
+    Mesh: ("file", "scale", "shaded", "contact_points"),
+    Convex: ("points", "file", "scale", "contact_points"),
+}
 
 
-def load_mesh(path: str | os.PathLike, scale: Any = 1.0, shaded: Any = False) -> Mesh:
+def load_mesh(
+    path: str | os.PathLike, scale: Any = 1.0, shaded: Any = False, contact_points: Any = CONTACT_POINTS
+) -> Mesh:
     """Read a mesh from an STL, OBJ, PLY or GLB file; all parts of a GLB at their places, as one mesh.
 
     Nothing but this file is read: materials and textures that it names are not. Vertices in one place are merged.
 
-    **Arguments:** `scale`: m in one unit of the file; `shaded` as for `Mesh`.
+    **Arguments:** `scale`: m in one unit of the file; `shaded` and `contact_points` as for `Mesh`.
 
     **Raises:** `InputError`, one sentence that names the file: it cannot be read, or as for `Mesh`.
     """
     with within(f"{path}: "):
         vertices, triangles = _read(Path(path))
-        return Mesh(vertices, triangles, scale, shaded, str(Path(path).resolve()))
+        return Mesh(vertices, triangles, scale, shaded, str(Path(path).resolve()), contact_points)
 
 
 def shape_fields(kind: type[Mesh]) -> tuple[str, ...]:
@@ -69,6 +74,8 @@ def table_of_shape(shape: Mesh, folder: Path | None) -> dict[str, Any]:
         raise InputError(f"file is {shape.file!r}; allowed: a file in the folder of the scene file")
     if shape.shaded:
         table["shaded"] = True
+    if shape.contact_points != CONTACT_POINTS:
+        table["contact_points"] = shape.contact_points
     return table | {"scale": shape.scale}
 
 

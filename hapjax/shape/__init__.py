@@ -11,6 +11,7 @@ from .box import Box as Box
 from .capsule import Capsule as Capsule
 from .convex import Convex as Convex
 from .cylinder import Cylinder as Cylinder
+from .mesh import CONTACT_POINTS as CONTACT_POINTS
 from .mesh import Mesh as Mesh
 from .plane import Plane as Plane
 from .sphere import Sphere as Sphere

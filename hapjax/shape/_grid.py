@@ -14,18 +14,18 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..errors import InputError
-from ._table import rows
-from ._topology import LARGEST
+from ._table import span
+from ._topology import LARGEST, SPARE
 from ._triangle import area_normal, dot
 
-CHUNK = 16  # triangles at a time; few rows have more
+CHUNK = 4  # triangles at a time
 _PRIMES = (73856093, 19349663, 83492791)
 _MARGIN = 0.01  # of a cell: by so much a triangle is taken larger than it is, so that rounding loses none
 
 
 class Grid(eqx.Module):
     """`low`, `high` (m): corners of the box of all cells; `cell` (m): their edge length. `start`: where each row of the
-    hash table begins in `triangles`. Whole numbers are kept as floats.
+    hash table begins in `triangles`, which some zeros follow. Whole numbers are kept as floats.
     """
 
     low: Float[Array, "3"]
@@ -53,7 +53,7 @@ def grid_of(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Grid:
     pair = np.unique(row.astype(np.int64) * len(triangles) + owners)  # a triangle once a row
     row, owners = pair // len(triangles), pair % len(triangles)
     start = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=rows))])
-    parts = (low, low + size * cell, cell, start, owners)
+    parts = (low, low + size * cell, cell, start, np.pad(owners, (0, SPARE)))
     return Grid(*(jnp.asarray(part, dtype) for part in parts))
 
 
@@ -127,11 +127,10 @@ def first_entered(
     def one(carry):
         cell, upcoming, offset, best, when, _ = carry
         row = _hash([cell[i].astype(jnp.uint32) for i in range(3)], grid.start.shape[0] - 1).astype(jnp.int32)
-        first, beyond = rows(grid.start, jnp.stack([row, row + 1])).astype(jnp.int32)
+        first, beyond = span(grid.start, row, 2).astype(jnp.int32)
         number = beyond - first
         places = offset + jnp.arange(CHUNK, dtype=jnp.int32)
-        last = jnp.maximum(first + number - 1, 0)
-        triangles = rows(grid.triangles, jnp.minimum(first + places, last)).astype(jnp.int32)
+        triangles = span(grid.triangles, first + offset, CHUNK).astype(jnp.int32)
         hit, touching, t = jax.vmap(enter)(triangles)
         hit = (places < number) & jnp.where(left > 0, hit & (t * length > left), hit | touching)
         t = jnp.where(hit, t, jnp.inf)
@@ -151,6 +150,11 @@ def first_entered(
     begin = (walk.cell, walk.upcoming, zero, none, jnp.full((), jnp.inf, way.dtype), wanted & walk.meets)
     _, _, _, best, when, _ = jax.lax.while_loop(lambda carry: carry[-1], one, begin)
     return best, when
+
+
+def meets(grid: Grid, start: Float[Array, "3"], end: Float[Array, "3"]) -> Bool[Array, ""]:
+    """Whether the straight way from `start` to `end` comes through the box of all cells."""
+    return _Walk(grid, start, end - start).meets
 
 
 def rounding(start: Float[Array, "3"], end: Float[Array, "3"], grid: Grid) -> Float[Array, ""]:

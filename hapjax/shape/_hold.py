@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ._grid import Grid, first_entered, rounding
+from ._grid import Grid, first_entered, meets, rounding
+from ._lanes import one_by_one
 from ._table import rows
 from ._topology import Topology
 from ._triangle import area_normal, dot, nearest_point
@@ -35,10 +36,15 @@ def pseudonormal(
     return jnp.where(part == 0, own, jnp.where(part < 4, on_edge, rows(topology.vertex_normals, vertex)))
 
 
+def in_tables(tables: tuple[Topology, Float[Array, "V 3"]]) -> CornersOf:
+    """What finds the corners of a triangle."""
+    topology, vertices = tables
+    return lambda triangle: rows(vertices, rows(topology.triangles, triangle).astype(jnp.int32))
+
+
 def hold(
     grid: Grid,
-    topology: Topology,
-    corners_of: CornersOf,
+    tables: tuple[Topology, Float[Array, "V 3"]],
     start: Float[Array, "3"],
     end: Float[Array, "3"],
     triangle: Int[Array, ""],
@@ -51,11 +57,20 @@ def hold(
     point outside, it has left the surface there, and goes on straight to the point: it may meet another surface. So a
     point that nothing holds can be reached through free space, and is outside. Each round ends nearer to `end`.
     """
+    wanted = in_contact | meets(grid, start, end)
+    found, held = _held((grid, tables), wanted, start, end, triangle, in_contact)
+    return jnp.where(wanted, found, triangle), wanted & held
+
+
+@one_by_one
+def _held(all_tables, wanted, start, end, triangle, in_contact):
+    grid, tables = all_tables
+    topology, corners_of = tables[0], in_tables(tables)
     slack = rounding(start, end, grid)
 
     def one(carry):
         triangle, place, left, sliding, _, _ = carry
-        entered, _ = first_entered(grid, corners_of, place, end, left, ~sliding)
+        entered, _ = first_entered(grid, corners_of, place, end, left, wanted & ~sliding)
         touching = sliding | (entered >= 0)
         triangle, part = descend(
             topology, corners_of, jnp.where(entered >= 0, entered, triangle), end, touching
@@ -67,6 +82,6 @@ def hold(
         return triangle, place, jnp.where(leaves, 4 * slack, left), sliding & False, touching & inside, leaves
 
     no = jnp.zeros((), bool)
-    begin = (triangle, start, jnp.zeros_like(slack), in_contact, no, ~no)
+    begin = (triangle, start, jnp.zeros_like(slack), wanted & in_contact, no, wanted)
     triangle, _, _, _, held, _ = jax.lax.while_loop(lambda carry: carry[-1], one, begin)
     return triangle, held

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .. import safe
-from ._hold import CornersOf, unit_normal
+from ._hold import in_tables, unit_normal
+from ._lanes import one_by_one
 from ._shape import Corner
 from ._topology import Topology
 from ._triangle import dot
@@ -15,8 +16,7 @@ _FLAT = 1e-3  # sine of the angle from which on two planes count as one
 
 
 def holding(
-    topology: Topology,
-    corners_of: CornersOf,
+    tables: tuple[Topology, Float[Array, "V 3"]],
     triangle: Int[Array, ""],
     part: Int[Array, ""],
     query: Float[Array, "3"],
@@ -27,18 +27,25 @@ def holding(
     At an edge the two beside it. At a vertex the plane that the query is deepest below, then the one that the point
     so constrained is deepest below, then the one that the point constrained by both is. Nothing is differentiated.
     """
-    across, vertex = beside(topology, triangle, part)
+    across, vertex = beside(tables[0], triangle, part)
     at_vertex = held & (part >= 4)
-    peak = corners_of(triangle)[jnp.clip(part - 4, 0, 2)]
-    first = steepest(topology, corners_of, vertex, query, at_vertex)
+    corner = jnp.clip(part - 4, 0, 2)
+    on_edge = jnp.stack([triangle, jnp.where(part > 0, across, triangle), triangle])
+    return jnp.where(at_vertex, _at_vertex(tables, at_vertex, triangle, corner, vertex, query), on_edge)
+
+
+@one_by_one
+def _at_vertex(tables, wanted, triangle, corner, vertex, query):
+    topology, corners_of = tables[0], in_tables(tables)
+    peak = corners_of(triangle)[corner]
+    first = steepest(topology, corners_of, vertex, query, wanted)
     one = unit_normal(corners_of(first))
     place = query + dot(one, peak - query) * one
-    second = steepest(topology, corners_of, vertex, place, at_vertex)
+    second = steepest(topology, corners_of, vertex, place, wanted)
     along = safe.normalise(jnp.cross(one, unit_normal(corners_of(second))))
     place = jnp.where(jnp.any(along != 0), peak + dot(along, query - peak) * along, place)
-    third = steepest(topology, corners_of, vertex, place, at_vertex)
-    on_edge = jnp.stack([triangle, jnp.where(part > 0, across, triangle), triangle])
-    return jnp.where(at_vertex, jnp.stack([first, second, third]), on_edge)
+    third = steepest(topology, corners_of, vertex, place, wanted)
+    return jnp.stack([first, second, third])
 
 
 def corner_of(

@@ -9,7 +9,7 @@ from jax.custom_batching import custom_vmap
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
-_FEW = 80  # of three fingers; more take long to compile
+_FEW = 12  # more take long to compile
 
 
 @jax.custom_jvp
@@ -17,10 +17,9 @@ def rows(table: Float[Array, "N *row"], index: Int[Array, "*n"]) -> Float[Array,
     """`table[index]`, a few rows read one by one.
 
     XLA's CPU compiler counts a gather that is fused with others as one that reads the whole table, and spreads it over
-    threads; to wake them takes longer than a step. A slice it counts as what it is.
+    threads; to wake them can take longer than a step. A slice it counts as what it is.
     """
-    flat = jax.vmap(_read, in_axes=(None, 0))(table, index.ravel()) if index.ndim else _read(table, index)
-    return flat.reshape(*index.shape, *table.shape[1:])
+    return _read(table, index)
 
 
 @functools.partial(rows.defjvp, symbolic_zeros=True)
@@ -32,14 +31,42 @@ def _(primals, tangents):
 
 
 @custom_vmap
-def _read(table: Float[Array, "N *row"], index: Int[Array, ""]) -> Float[Array, "*row"]:
-    return lax.dynamic_index_in_dim(table, index, keepdims=False)
+def _read(table: Float[Array, "N *row"], index: Int[Array, "*n"]) -> Float[Array, "..."]:
+    if index.size > _FEW:
+        return table.at[index].get(mode="clip")
+    one = [lax.dynamic_index_in_dim(table, i, keepdims=False) for i in index.ravel()]
+    return jnp.stack(one).reshape(*index.shape, *table.shape[1:])
 
 
 @_read.def_vmap
 def _(size, batched, table, index):
     if batched[0]:
-        return jax.vmap(lambda t, i: t[i], in_axes=(0, 0 if batched[1] else None))(table, index), True
-    if not 0 < size <= _FEW:
-        return table[index], True
-    return jnp.stack([_read(table, i) for i in index]), True
+        axes = (0, 0 if batched[1] else None)
+        return jax.vmap(lambda t, i: t.at[i].get(mode="clip"), in_axes=axes)(table, index), True
+    return _read(table, index), True
+
+
+def span(table: Float[Array, "N"], first: Int[Array, ""], count: int) -> Float[Array, "{count}"]:
+    """`count` numbers from the `first`-th on; as many must be left. Not differentiated."""
+    return _reader(count)(table, first)
+
+
+@functools.cache
+def _reader(count: int):
+    @custom_vmap
+    def read(table, first):
+        return lax.dynamic_slice_in_dim(table, first, count)
+
+    @read.def_vmap
+    def _(size, batched, table, first):
+        places = jnp.arange(count, dtype=first.dtype)
+        places = (
+            first[:, None] + places[None]
+            if batched[1]
+            else jnp.broadcast_to((first + places)[None], (size, count))
+        )
+        if batched[0]:
+            return jax.vmap(lambda t, i: t.at[i].get(mode="clip"))(table, places), True
+        return _read(table, places), True
+
+    return read

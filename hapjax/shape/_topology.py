@@ -11,6 +11,7 @@ from ..errors import InputError
 
 SMALLEST_AREA = 1e-12  # m^2
 LARGEST = 2**24  # a float32 counts so far
+SPARE = 16  # numbers behind the end of a list of which several are read at a time
 _ALLOWED = "allowed: a closed surface of triangles whose corners run counter-clockwise seen from outside"
 
 
@@ -18,14 +19,14 @@ class Topology(eqx.Module):
     """Neighbours in a mesh. Whole numbers, kept as floats so that a scene has numbers of one type.
 
     `neighbours`: the triangle across the edges from corners 0, 1 and 2. `fan`: the triangles about each vertex, one
-    vertex after another; that of vertex v starts at `fan_start[v]`. `vertex_normals`: Baerentzen and Aanaes's
-    angle-weighted ones, units.
+    vertex after another; that of vertex v starts at `fan_start[v]`; some zeros follow. `vertex_normals`: Baerentzen
+    and Aanaes's angle-weighted ones, units.
     """
 
     triangles: Float[Array, "T 3"]
     neighbours: Float[Array, "T 3"]
     fan_start: Float[Array, "V1"]
-    fan: Float[Array, "T3"]
+    fan: Float[Array, "F"]
     vertex_normals: Float[Array, "V 3"]
 
 
@@ -129,7 +130,7 @@ def topology(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Topolog
     fan = np.argsort(corner, kind="stable") // 3
     fan_start = np.concatenate([[0], np.cumsum(np.bincount(corner, minlength=len(vertices)))])
     normals = vertex_normals(vertices, triangles)
-    parts = (triangles, neighbours, fan_start, fan, normals)
+    parts = (triangles, neighbours, fan_start, np.pad(fan, (0, SPARE)), normals)
     return Topology(*(jnp.asarray(part, dtype) for part in parts))
 
 

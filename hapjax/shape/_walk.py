@@ -6,19 +6,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ._table import rows
+from ._table import rows, span
 from ._topology import Topology
 from ._triangle import area_normal, dot, nearest_part, nearest_point
 
-CHUNK = 8  # triangles at a time; few vertices have more
+CHUNK = 4  # triangles at a time
 
 
 def around(topology: Topology, vertex: Int[Array, ""], offset: Int[Array, ""]):
-    """`CHUNK` of the triangles about a vertex, from the `offset`-th on (the last again past the end), and their number."""
-    first, beyond = rows(topology.fan_start, jnp.stack([vertex, vertex + 1])).astype(jnp.int32)
+    """`CHUNK` of the triangles about a vertex, from the `offset`-th on (the first again past the end), and their number."""
+    first, beyond = span(topology.fan_start, vertex, 2).astype(jnp.int32)
     number = beyond - first
-    places = jnp.minimum(offset + jnp.arange(CHUNK, dtype=jnp.int32), number - 1)
-    return rows(topology.fan, first + places).astype(jnp.int32), number
+    fan = span(topology.fan, first + offset, CHUNK).astype(jnp.int32)
+    return jnp.where(offset + jnp.arange(CHUNK, dtype=jnp.int32) < number, fan, fan[0]), number
 
 
 def beside(

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from .._validate import as_float, is_traced
 from ..errors import InputError
-from .mesh import Mesh
+from .mesh import CONTACT_POINTS, Mesh
 
 _ALLOWED = "allowed: at least four points in m that do not all lie in one plane"
 # By so much the unit normals of two triangles of one flat face may differ: more than single precision rounds.
@@ -19,8 +19,8 @@ _FLAT = 1e-5
 class Convex(Mesh):
     """The convex hull of points. Its flat faces, named by their numbers, can have a mu of their own.
 
-    **Arguments:** `points` (P, 3), m, times `scale`; those inside the hull are left out of `vertices`. `file` as for
-    `Mesh`.
+    **Arguments:** `points` (P, 3), m, times `scale`; those inside the hull are left out of `vertices`. `file`
+    and `contact_points` as for `Mesh`.
 
     **Raises:** `InputError` where the points have no hull with a volume, or are traced: a hull is not differentiated,
     but its `vertices` and its `scale` are.
@@ -29,12 +29,18 @@ class Convex(Mesh):
     facets: Float[Array, "T"]
     count: int = eqx.field(static=True)
 
-    def __init__(self, points: Any, scale: Any = 1.0, file: str | None = None):
+    def __init__(
+        self,
+        points: Any,
+        scale: Any = 1.0,
+        file: str | None = None,
+        contact_points: Any = CONTACT_POINTS,
+    ):
         points = as_float(points)
         if is_traced(points):
             raise InputError("points are traced; allowed: known numbers (see Convex.moved)")
         used, triangles, facets = _hull(points)
-        super().__init__(points[used], triangles, scale, False, file)
+        super().__init__(points[used], triangles, scale, False, file, contact_points)
         self.facets = jnp.asarray(facets, self.vertices.dtype)
         self.count = int(facets.max()) + 1
 

@@ -5,19 +5,25 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from .. import safe
 from .._validate import as_float, check_number, check_positive, flag, is_traced
+from ..errors import InputError
 from ._creases import Creases, creases_of
 from ._grid import Grid, grid_of
-from ._hold import hold, pseudonormal, unit_normal
+from ._hold import hold, in_tables, pseudonormal, unit_normal
 from ._planes import corner_of, frozen, holding
 from ._shape import Corner, Edges, Shape, SurfacePoint, Track, begin, ease
 from ._solid import Solid, solid_of
 from ._table import rows
 from ._topology import Topology, checked, topology
+from ._touching import Touching, touching_of
+from ._tree import Tree, nearest, tree_of
 from ._triangle import dot, nearest_part, nearest_point, weights
+
+CONTACT_POINTS = 256
 
 
 class Mesh(Shape):
@@ -32,9 +38,11 @@ class Mesh(Shape):
     - `shaded`: whether the force's direction is interpolated between the vertices, so that a tessellated smooth surface
       feels smooth (Melder and Harwin 2005); the depth stays that of the triangles.
     - `file`: where it was loaded from, see `load_mesh`.
+    - `contact_points`: so many vertices touch other objects at most, 4 or more. Where there are more vertices, those are
+      chosen that keep the form best, and the object can sink in by `bulge` between them. Fingers feel all triangles.
 
     The force is differentiable in `vertices`, and `volume`, `centre` and `inertia_per_mass` are through `moved`. They
-    are stored, as is the grid for first touch: to move vertices take `moved`, and not `eqx.tree_at`.
+    are stored, as is all that is searched, and the contact points: to move vertices take `moved`, and not `eqx.tree_at`.
 
     **Raises:** `InputError`: a sentence that says what is wrong with the surface (not watertight, winding not
     consistent or inward, triangles under 1e-12 m^2 or there twice), of how many triangles, and of which first.
@@ -46,11 +54,20 @@ class Mesh(Shape):
     grid: Grid
     solid: Solid
     creases: Creases
+    tree: Tree
+    touching: Touching
     shaded: bool = eqx.field(static=True)
     file: str | None = eqx.field(static=True)
+    contact_points: int = eqx.field(static=True)
 
     def __init__(
-        self, vertices: Any, triangles: Any, scale: Any = 1.0, shaded: Any = False, file: str | None = None
+        self,
+        vertices: Any,
+        triangles: Any,
+        scale: Any = 1.0,
+        shaded: Any = False,
+        file: str | None = None,
+        contact_points: Any = CONTACT_POINTS,
     ):
         self.scale = as_float(scale)
         check_positive("scale", self.scale, unit="")
@@ -59,10 +76,9 @@ class Mesh(Shape):
         self.vertices = jnp.asarray(points, given.dtype if isinstance(given, jax.Array) else None)
         dtype = self.vertices.dtype
         self.scale = jnp.asarray(self.scale, dtype)
-        self.topology = topology(points, faces, dtype)
-        self.grid = grid_of(points, faces, dtype)
-        self.solid = solid_of(self.vertices[faces])
-        self.creases = creases_of(points, faces, dtype)
+        self.contact_points = _number(contact_points)
+        parts = _parts(points, faces, self.vertices, self.contact_points)
+        self.topology, self.grid, self.solid, self.creases, self.tree, self.touching = parts
         self.shaded = flag("shaded")(shaded)
         self.file = file
 
@@ -89,16 +105,11 @@ class Mesh(Shape):
             return eqx.tree_at(lambda mesh: (mesh.vertices, mesh.solid), self, (vertices, solid))
         vertices = jnp.asarray(vertices, self.vertices.dtype)
         points, faces = checked(vertices, self.triangles, float(self.scale))
-        dtype = vertices.dtype
-        leaves = (
-            vertices,
-            topology(points, faces, dtype),
-            grid_of(points, faces, dtype),
-            solid_of(vertices[faces]),
-            creases_of(points, faces, dtype),
-        )
+        parts = _parts(points, faces, vertices, self.contact_points)
         moved = eqx.tree_at(
-            lambda mesh: (mesh.vertices, mesh.topology, mesh.grid, mesh.solid, mesh.creases), self, leaves
+            lambda m: (m.vertices, m.topology, m.grid, m.solid, m.creases, m.tree, m.touching),
+            self,
+            (vertices, *parts),
         )
         object.__setattr__(moved, "file", None)  # it is no longer what the file says
         return moved
@@ -106,6 +117,16 @@ class Mesh(Shape):
     def closest(self, query: Float[Array, "3"]) -> SurfacePoint:
         """Closest surface point to `query` (m, in the mesh's frame), of all triangles; see `Shape.closest`."""
         return self._near(self._nearest(query), query)
+
+    def closest_within(
+        self, query: Float[Array, "3"], wanted: Bool[Array, ""]
+    ) -> tuple[SurfacePoint, Bool[Array, ""]]:
+        """As `closest`, and whether it was found: it is looked for where it is `wanted`, as far away as a quarter of the
+        diagonal of the mesh's box."""
+        still = frozen(self)
+        across = still.grid.high - still.grid.low
+        triangle = self._search(query, jnp.sqrt(dot(across, across)) / 4, wanted)
+        return self._near(jnp.maximum(triangle, 0), query), triangle >= 0
 
     def start(self, query: Float[Array, "3"]) -> Track:
         """A point that appears inside is held by the nearest triangle."""
@@ -121,7 +142,7 @@ class Mesh(Shape):
         last = frozen(track.face).astype(jnp.int32)
         in_contact = jnp.any(frozen(track.stretch) != 0) & (last >= 0)
         last = jnp.where(last < 0, -1 - last, last)
-        triangle, held = hold(still.grid, still.topology, still._corners, start, end, last, in_contact)
+        triangle, held = hold(still.grid, still._tables, start, end, last, in_contact)
         near = self._near(triangle, query)
         near = eqx.tree_at(lambda n: n.depth, near, jnp.where(held, near.depth, 0))
         near = eqx.tree_at(
@@ -143,9 +164,16 @@ class Mesh(Shape):
         """Inertia of the uniform solid about its centre of mass over its mass, m^2, along the axes of its frame."""
         return self.scale**2 * self.solid.inertia
 
-    def points(self, facing=None) -> Float[Array, "V 3"]:
-        """The vertices, m."""
-        return self.scale * self.vertices
+    def points(self, facing=None) -> Float[Array, "P 3"]:
+        """The vertices that touch other objects, m."""
+        chosen = self.touching.vertices
+        every = chosen.shape[0] == self.vertices.shape[0]
+        return self.scale * (self.vertices if every else self.vertices[chosen.astype(jnp.int32)])
+
+    def bulge(self) -> Float[Array, ""]:
+        """How far (m) a vertex stands out, along its normal, over the contact points about it; 0 where all are contact
+        points. By so much the mesh can sink into another object before one of its points touches."""
+        return self.scale * self.touching.bulge
 
     def edges(self) -> Edges | None:
         """The convex edges at which the surface bends by more than 10 degrees."""
@@ -161,18 +189,21 @@ class Mesh(Shape):
 
     def _nearest(self, query: Float[Array, "3"]) -> Int[Array, ""]:
         """The triangle nearest to `query`, of all."""
-        still = frozen(self)
-        seen = still.vertices[still.triangles] - frozen(query / self.scale)[None, None]
+        far, yes = jnp.full((), jnp.inf, query.dtype), jnp.ones((), bool)
+        return jnp.maximum(self._search(query, far, yes), 0)
 
-        def square(corners):
-            point = nearest_point(corners, nearest_part(corners))
-            return dot(point, point)
+    def _search(self, query, reach, wanted) -> Int[Array, ""]:
+        """The triangle nearest to `query`, m; -1 where it is farther than `reach`, before the scale."""
+        still, place = frozen(self), frozen(query / self.scale)
+        return nearest(still.tree, still._tables, place, reach, wanted)
 
-        return jnp.argmin(jax.vmap(square)(seen)).astype(jnp.int32)
+    @property
+    def _tables(self) -> tuple[Topology, Float[Array, "V 3"]]:
+        return self.topology, self.vertices
 
     def _corners(self, triangle: Int[Array, ""]) -> Float[Array, "3 3"]:
         """The corners of a triangle, before the scale."""
-        return rows(self.vertices, rows(self.topology.triangles, triangle).astype(jnp.int32))
+        return in_tables(self._tables)(triangle)
 
     def _face(self, triangle: Int[Array, "*n"]) -> Int[Array, "*n"]:
         """The face that a triangle belongs to."""
@@ -207,7 +238,29 @@ class Mesh(Shape):
         still = frozen(self)
         place = frozen(query / self.scale)
         part = nearest_part(still._corners(triangle) - place[None])
-        planes = holding(still.topology, still._corners, triangle, part, place, held)
+        planes = holding(still._tables, triangle, part, place, held)
         normals = jax.vmap(lambda i: unit_normal(self._corners(i)))(planes)
         count = jnp.where(part == 0, 1, jnp.where(part < 4, 2, 3))
         return corner_of(normals, self._face(planes), count, near.normal, near.face)
+
+
+def _parts(
+    points: np.ndarray, faces: np.ndarray, vertices: Float[Array, "V 3"], contact_points: int
+) -> tuple:
+    """What is found once of a checked surface."""
+    dtype = vertices.dtype
+    beside = topology(points, faces, dtype)
+    return (
+        beside,
+        grid_of(points, faces, dtype),
+        solid_of(vertices[faces]),
+        creases_of(points, faces, dtype),
+        tree_of(points, faces, dtype),
+        touching_of(points, np.asarray(beside.vertex_normals, np.float64), contact_points, dtype),
+    )
+
+
+def _number(contact_points: Any) -> int:
+    if isinstance(contact_points, bool) or not isinstance(contact_points, int) or contact_points < 4:
+        raise InputError(f"contact_points is {contact_points!r}; allowed: a whole number, at least 4")
+    return contact_points
