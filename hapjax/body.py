@@ -103,9 +103,8 @@ def velocity_at(motion: Motion, arms: Float[Array, "*n 3"]) -> Float[Array, "*n 
     """Velocity (m/s) of the body's points at `arms` (m) from its centre of mass, world frame."""
     if motion.spin is None:
         return jnp.broadcast_to(motion.velocity, arms.shape)
-    return jnp.broadcast_to(motion.velocity, arms.shape) + jnp.cross(
-        jnp.broadcast_to(motion.spin, arms.shape), arms
-    )
+    turning = rotation.turn(rotation.cross_matrix(motion.spin), arms)
+    return jnp.broadcast_to(motion.velocity, arms.shape) + turning
 
 
 def inertia_of(body: Body, shape: Shape) -> Float[Array, "3"] | Float[Array, "3 3"]:
@@ -134,7 +133,7 @@ def angular_acceleration(
     torque = rotation.turn_back(matrix, torque)
     if gyroscopic:
         turning = rotation.turn_back(matrix, spin)
-        torque = torque - jnp.cross(turning, momentum(inertia, turning))
+        torque = torque - rotation.cross(turning, momentum(inertia, turning))
     return rotation.turn(matrix, spin_of(inertia, torque))
 
 

@@ -3,13 +3,14 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from . import safe
+from . import rotation, safe
 from .body import Wrench
 
 
 def residual(forces: Float[Array, "n 3"], arms: Float[Array, "n 3"]) -> Wrench:
     """Sum of forces (N) and of torques (N m) that act at `arms` (m) from the centre of mass (MHS section 3)."""
-    return Wrench(jnp.sum(forces, axis=0), jnp.sum(jnp.cross(arms, forces), axis=0))
+    moments = jnp.sum(arms[:, :, None] * forces[:, None, :], axis=0)
+    return Wrench(jnp.sum(forces, axis=0), rotation.cross_of_dyads(moments))
 
 
 def pivot(

@@ -73,7 +73,7 @@ class Link(eqx.Module):
                 velocity = velocity + sign * straight[None]
                 if spin is not None:
                     arms = self.place - centres[name][None]
-                    velocity = velocity + sign * jnp.cross(jnp.broadcast_to(spin, arms.shape), arms)
+                    velocity = velocity + sign * rotation.turn(rotation.cross_matrix(spin), arms)
         return rotation.turn_back(self.matrix, velocity)
 
     def at(self, slip: Float[Array, "n 3"]) -> "Link":

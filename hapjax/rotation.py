@@ -1,18 +1,54 @@
 """Rotations: unit quaternions w x y z in states and files, matrices inside a step.
 
 jaxlie supplies the exponential map and its inverse, with care at zero rotation. Its product and inverse mix integers
-with floats, which strict dtype promotion forbids, so the product stands here.
+with floats, which strict dtype promotion forbids, and picks components apart, whose derivatives are slow in a loop; so
+the product and the matrix stand here.
 """
 
 import jax.numpy as jnp
 import jaxlie
+import numpy as np
 from jaxtyping import Array, Float
+
+
+def _tables() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The cross product (3, 3, 3), the Hamilton product (4, 4, 4) and a quaternion's matrix (3, 3, 4, 4): by what the
+    products of two vectors' components count in each component of the result."""
+    cross = np.zeros((3, 3, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        cross[i, j, k], cross[i, k, j] = 1, -1
+    hamilton = np.zeros((4, 4, 4))
+    hamilton[0] = np.diag([1, -1, -1, -1])
+    hamilton[1:, 1:, 1:] = cross
+    hamilton[1:, 1:, 0] = hamilton[1:, 0, 1:] = np.eye(3)
+    # q v q*: as the product of q v and the conjugate of q, where v is a vector.
+    turned = np.einsum("iab,acd,be->icde", hamilton, hamilton, hamilton[0]).transpose(0, 2, 1, 3)
+    return cross, hamilton, turned[1:, 1:]
+
+
+# Sums of products with these, and not components taken apart and put together again: the derivatives are such sums
+# too, where those of slices are paddings, each a kernel of its own.
+_CROSS, _HAMILTON, _TURNED = _tables()
+
+
+def cross(a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, "3"]:
+    """a x b."""
+    return _bilinear(_CROSS, a, b)
+
+
+def cross_matrix(a: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """The matrix that takes a vector v to a x v."""
+    return jnp.sum(-jnp.asarray(_CROSS, a.dtype) * a[None, None, :], axis=-1)
+
+
+def cross_of_dyads(dyads: Float[Array, "3 3"]) -> Float[Array, "3"]:
+    """The sum of a x b over several pairs, from the sum of their outer products."""
+    return jnp.sum(jnp.asarray(_CROSS, dyads.dtype) * dyads[None], axis=(1, 2))
 
 
 def product(p: Float[Array, "4"], q: Float[Array, "4"]) -> Float[Array, "4"]:
     """Hamilton product: the rotation `q` followed by the rotation `p`."""
-    vector = p[0] * q[1:] + q[0] * p[1:] + jnp.cross(p[1:], q[1:])
-    return jnp.concatenate([(p[0] * q[0] - jnp.sum(p[1:] * q[1:]))[None], vector])
+    return _bilinear(_HAMILTON, p, q)
 
 
 def from_rotation_vector(w: Float[Array, "3"]) -> Float[Array, "4"]:
@@ -36,8 +72,8 @@ def conjugate(q: Float[Array, "4"]) -> Float[Array, "4"]:
 
 
 def to_matrix(q: Float[Array, "4"]) -> Float[Array, "3 3"]:
-    """The matrix that turns body coordinates into world coordinates."""
-    return jaxlie.SO3(q).as_matrix()
+    """The matrix of a unit quaternion, which turns body coordinates into world coordinates."""
+    return _bilinear(_TURNED, q, q)
 
 
 def from_matrix(matrix: Float[Array, "3 3"]) -> Float[Array, "4"]:
@@ -47,15 +83,23 @@ def from_matrix(matrix: Float[Array, "3 3"]) -> Float[Array, "4"]:
 
 def turn(matrix: Float[Array, "3 3"], vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
     """The matrix applied to each vector; in full precision on accelerators that would otherwise round to TF32."""
-    return _sum_of_rows(matrix.T, vectors)
+    return _product(matrix, vectors)
 
 
 def turn_back(matrix: Float[Array, "3 3"], vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
     """The inverse of the rotation matrix applied to each vector."""
-    return _sum_of_rows(matrix, vectors)
+    return _product(matrix.T, vectors)
 
 
-def _sum_of_rows(rows: Float[Array, "3 3"], weights: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-    # Written out, because a matrix product is a call that the compiler fuses with nothing around it.
-    x, y, z = (jnp.broadcast_to(row, weights.shape) for row in rows)
-    return weights[..., 0:1] * x + weights[..., 1:2] * y + weights[..., 2:3] * z
+def _product(matrix: Float[Array, "3 3"], vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    # Not `@`, which is a call that the compiler fuses with nothing around it.
+    shape = (*vectors.shape[:-1], 3, 3)
+    columns = jnp.broadcast_to(vectors[..., None, :], shape)
+    return jnp.sum(jnp.broadcast_to(matrix, shape) * columns, axis=-1)
+
+
+def _bilinear(table: np.ndarray, a: Array, b: Array) -> Array:
+    """The sum over j and k of table[..., j, k] a[j] b[k]."""
+    factors = jnp.asarray(table, a.dtype)
+    half = jnp.sum(factors * jnp.broadcast_to(b, factors.shape), axis=-1)
+    return jnp.sum(half * jnp.broadcast_to(a, half.shape), axis=-1)

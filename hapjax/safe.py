@@ -9,17 +9,37 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
+@jax.custom_jvp
 def norm(x: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
     """Euclidean length along the last axis. At zero the value and the gradient are 0."""
-    square = jnp.sum(x * x, axis=-1)
-    is_zero = square == 0
-    return jnp.where(is_zero, 0, jnp.sqrt(jnp.where(is_zero, 1, square)))
+    return jnp.sqrt(jnp.sum(x * x, axis=-1))
 
 
+@norm.defjvp
+def _norm_jvp(primals, tangents):
+    (x,), (change,) = primals, tangents
+    length = norm(x)
+    return length, jnp.sum(x * change, axis=-1) * _inverse(length)
+
+
+@jax.custom_jvp
 def divide(numerator: Float[Array, "*batch"], denominator: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """`numerator / denominator`, and 0 with gradient 0 where the denominator is 0."""
     is_zero = denominator == 0
     return jnp.where(is_zero, 0, numerator / jnp.where(is_zero, 1, denominator))
+
+
+@divide.defjvp
+def _divide_jvp(primals, tangents):
+    # One division for all derivatives, which are products.
+    (numerator, denominator), (above, below) = primals, tangents
+    quotient = divide(numerator, denominator)
+    return quotient, (above - quotient * below) * _inverse(denominator)
+
+
+def _inverse(x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    is_zero = x == 0
+    return jnp.where(is_zero, 0, 1 / jnp.where(is_zero, 1, x))
 
 
 def ratio(

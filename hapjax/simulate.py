@@ -1,9 +1,7 @@
 """init, step, rollout: a scene felt by fingers."""
 
 import dataclasses
-import math
 from collections import OrderedDict
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -15,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 from . import body as rigid
 from . import contact as pairs
 from . import god_object, grasp, rotation, safe
+from ._segments import scan_in_segments
 from .body import Body, Motion, Wrench
 from .contact import Mover, Placed
 from .errors import InputError
@@ -155,34 +154,13 @@ def rollout(
         raise InputError(
             f"gimbals has the shape {gimbals.shape}; allowed: {hips.shape[:2]}, an angle for each of hips"
         )
-    scan = _scan_in_segments if checkpoint else jax.lax.scan
-    return scan(lambda carry, x: step(scene, carry, x[0], dt, x[1]), state, (hips, gimbals))
-
-
-def _scan_in_segments(body: Callable[[State, Any], tuple[State, Reply]], state: State, inputs: Any):
-    """`jax.lax.scan`, of which a reverse-mode gradient keeps about 2 sqrt(T) states."""
-    steps = len(jax.tree.leaves(inputs)[0])
-    root = math.isqrt(max(steps, 1) - 1) + 1
-    # Segments that come out even need no copy of what goes in.
-    size = next((n for n in range(root, 2 * root) if steps % n == 0), root)
-    count = -(-steps // size)
+    scan = scan_in_segments if checkpoint else jax.lax.scan
 
     def one(carry, x):
-        number, x = x
-        after, reply = body(carry, x)
-        # What fills up the last segment is a repeated step that changes nothing.
-        return jax.tree.map(lambda new, old: jnp.where(number < steps, new, old), after, carry), reply
+        return step(scene, carry, x[0], dt, x[1])
 
-    def segment(carry, xs):
-        return jax.lax.scan(jax.checkpoint(one, prevent_cse=False), carry, xs)
-
-    def cut(x):
-        full = jnp.pad(x, [(0, count * size - steps)] + [(0, 0)] * (x.ndim - 1), mode="edge")
-        return full.reshape(count, size, *x.shape[1:])
-
-    cuts = jnp.arange(count * size).reshape(count, size), jax.tree.map(cut, inputs)
-    state, replies = jax.lax.scan(jax.checkpoint(segment, prevent_cse=False), state, cuts)
-    return state, jax.tree.map(lambda x: x.reshape(count * size, *x.shape[2:])[:steps], replies)
+    # A reverse-mode gradient remembers the states alone: a step is sooner computed again than written down.
+    return scan(jax.checkpoint(one, prevent_cse=False), state, (hips, gimbals))
 
 
 def _substep(
@@ -280,7 +258,7 @@ def _reply(hip, after: dict[str, Motion], fingers: dict[str, Link], felt, answer
 def _in_sense(before: State, after: State, reply: Reply) -> tuple[State, Reply]:
     """The state and reply after a step, or the state before it and no forces where the step was lost."""
     numbers = jax.tree.leaves((after, reply.force))
-    fine = jnp.stack([jnp.all(jnp.abs(x) <= _SENSE) for x in numbers]).all()  # False of NaN
+    fine = jnp.all(jnp.abs(jnp.concatenate([x.ravel() for x in numbers])) <= _SENSE)  # False of NaN
     still = OrderedDict(
         (name, dataclasses.replace(m, velocity=0 * m.velocity, spin=None if m.spin is None else 0 * m.spin))
         for name, m in before.motion.items()

@@ -1,5 +1,6 @@
 """What gradients and batches cost: sizes, refusals, and the scene that MuJoCo shares."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ def test_the_fingers_hold_the_cube_and_lift_it():
 @pytest.mark.slow
 def test_the_gradients_report(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(gradient, "PARAMETERS", (1, 2))
-    figures = gradient.measure(None, 3, steps=20, lengths=(16, 256))
+    figures = gradient.measure(None, 3, steps=20, lengths=(256, 4096))
     assert list(figures["times"]) == [
         "forward pass",
         "reverse",
@@ -34,6 +35,11 @@ def test_the_gradients_report(tmp_path, monkeypatch, capsys):
     plain, spared = figures["memory"]["without checkpoint"], figures["memory"]["checkpoint"]
     assert plain["exponent"] > 0.8 and spared["exponent"] < 0.6
     assert spared["bytes"][1] < plain["bytes"][1] / 3
+    # A gradient keeps the state of each step, and nothing else of it.
+    scene, (fewer, more) = _grip.scene(), plain["bytes"]
+    state = hapjax.init(scene, _grip.grip(1, 0.0)[0])
+    kept = sum(leaf.nbytes for leaf in jax.tree.leaves(state))
+    assert (more - fewer) / (4096 - 256) < 1.5 * kept
     monkeypatch.setattr(gradient, "measure", lambda scene, fingers: figures)
     assert main(["benchmark", "gradient", "--json", str(tmp_path / "f.json")]) == 0
     assert "reverse, checkpoint" in capsys.readouterr().out and (tmp_path / "f.json").stat().st_size > 100
