@@ -73,10 +73,12 @@ def test_a_ball_of_many_triangles_stands_within_its_bulge():
 def test_the_edges_of_a_mesh_are_few_whatever_its_size():
     box = trimesh.creation.box((0.06,) * 3).subdivide().subdivide().subdivide().subdivide()
     edges = hapjax.Mesh(box.vertices, box.faces).edges()
+    assert edges is not None
     lengths = np.linalg.norm(np.asarray(edges.end - edges.start), axis=1)
     np.testing.assert_allclose(lengths, np.full(12, 0.06))
     round_plate = trimesh.creation.cylinder(0.02, 0.01, sections=500)
     edges = hapjax.Mesh(round_plate.vertices, round_plate.faces).edges()
+    assert edges is not None
     lengths = np.linalg.norm(np.asarray(edges.end - edges.start), axis=1)
     assert len(lengths) <= 64
     assert lengths.sum() == pytest.approx(2 * 2 * np.pi * 0.02, rel=0.01)
