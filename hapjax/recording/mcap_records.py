@@ -127,9 +127,9 @@ def _decompressed(chunk) -> bytes:
         return chunk.data
     if chunk.compression == "zstd":
         zstandard = need("zstandard", "recording")
-        if zstandard.frame_content_size(chunk.data) > chunk.uncompressed_size:
-            raise ValueError("a chunk that is longer than it says")
         try:
+            if zstandard.frame_content_size(chunk.data) > chunk.uncompressed_size:
+                raise ValueError("a chunk that is longer than it says")
             return zstandard.decompress(chunk.data, chunk.uncompressed_size)
         except zstandard.ZstdError as error:
             raise ValueError(f"a damaged chunk: {error}") from None

@@ -65,6 +65,8 @@ def _table(path: Path, parquet, source) -> tuple[list[str], list[tuple[np.ndarra
         for name in schema.names:
             column = file.read([name], use_threads=False).column(0)
             there = ~column.is_null().to_numpy()
+            if len(there) != about.num_rows:
+                raise ValueError(f"{len(there)} rows of {name}")
             found.append((column.fill_null(0).to_numpy().astype(np.float64), there))
         return list(schema.names), found
     except InputError:

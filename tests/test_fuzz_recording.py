@@ -1,0 +1,190 @@
+"""Damaged recordings: whatever was done to a file, it is read or refused in one sentence, soon, and in little memory."""
+
+import functools
+import io
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import hypothesis.strategies as st
+import jaxtyping
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from hapjax import InputError, Recording, load_recording
+from test_recording_mcap import bag, json_file
+
+RNG = np.random.default_rng(0)
+T = 0.01 * np.arange(12)
+ARRAYS: dict[str, Any] = dict(
+    hip=RNG.normal(size=(12, 2, 3)),
+    hip_t=T,
+    force=RNG.normal(size=(6, 2, 3)),
+    force_t=T[::2],
+    gimbal=RNG.normal(size=(12, 2)),
+    gimbal_t=T + 1e-3,
+    pose=np.tile([0.1, 0.2, 0.3, 0.6, 0.0, 0.8, 0.0], (3, 1, 1)),
+    pose_t=T[::4],
+)
+TOPICS = {"hip": ["/tip", "/other"], "force": ["/push", "/pull"], "pose": ["/cube"]}
+MARGIN = 64 * 2**20  # bytes that a file may unpack to whatever its size, and that a process takes for itself
+
+
+def written(tmp, suffix):
+    Recording(**ARRAYS).save(tmp / f"a{suffix}")
+    return (tmp / f"a{suffix}").read_bytes()
+
+
+def zipped(tmp):
+    file = io.BytesIO()
+    np.savez_compressed(file, **ARRAYS)
+    return file.getvalue()
+
+
+def ros(tmp):
+    stamps = 10**18 + 10**7 * np.arange(12)
+    turned = np.concatenate([ARRAYS["hip"][:, 0], np.tile([0.6, 0.0, 0.8, 0.0], (12, 1))], axis=-1)
+    topics = {
+        "/tip": ("PointStamped", stamps, ARRAYS["hip"][:, 0]),
+        "/other": ("Point", stamps, ARRAYS["hip"][:, 1]),
+    }
+    topics |= {name: ("WrenchStamped", stamps + 1, ARRAYS["hip"][:, 0]) for name in ("/push", "/pull")}
+    return bag(tmp / "a.mcap", topics | {"/cube": ("PoseStamped", stamps, turned)}).read_bytes()
+
+
+def plain(tmp):
+    """Without chunks' compression, so that damage reaches the messages."""
+    samples = [{"t": i, "fingers": [{"x": 0.1 * i, "y": 0, "z": -1e-3}]} for i in range(12)]
+    return json_file(*samples)
+
+
+# What is damaged: whole files, how they are called, and how they are read.
+FORMATS = {
+    "npz": ((functools.partial(written, suffix=".npz"), zipped), ".npz", None),
+    "csv": ((functools.partial(written, suffix=".csv"),), ".csv", None),
+    "mcap": ((functools.partial(written, suffix=".mcap"), plain), ".mcap", None),
+    "ros 2": ((ros,), ".mcap", TOPICS),
+    "parquet": ((functools.partial(written, suffix=".parquet"),), ".parquet", None),
+}
+
+# Counts that no file of this size has, as 4 or 8 bytes or digits.
+COUNTS = [
+    (2**k + d).to_bytes(n, "little", signed=False) for k, n in ((31, 4), (63, 8), (40, 8)) for d in (-1, 0)
+]
+COUNTS += [b"\xff" * 4, b"\xff" * 8, b"\0" * 8, b"9" * 19, b"1e309", b"nan", b"-", b",", b"\n", b'"']
+HEADERS = [
+    b"PK\x03\x04",
+    b"PAR1",
+    b"\x89MCAP0\r\n",
+    b"\x93NUMPY\x01\x00",
+    b"t,hip0_x\n",
+    b"\x28\xb5\x2f\xfd",
+    b"\xef\xbb\xbf",
+]
+PLACE = st.floats(0, 1)
+DAMAGES = st.lists(
+    st.one_of(
+        st.tuples(st.just("flip"), PLACE, st.integers(0, 7)),
+        st.tuples(st.just("cut"), PLACE, st.none()),
+        st.tuples(st.just("insert"), PLACE, st.binary(min_size=1, max_size=8)),
+        st.tuples(st.just("overwrite"), PLACE, st.sampled_from(COUNTS)),
+        st.tuples(st.just("remove"), PLACE, st.integers(1, 40)),
+        st.tuples(st.just("repeat"), PLACE, st.integers(1, 400)),
+        st.tuples(st.just("swap"), PLACE, PLACE),
+        st.tuples(st.just("head"), PLACE, st.sampled_from(HEADERS)),
+    ),
+    min_size=1,
+    max_size=4,
+)
+
+
+def damaged(whole: bytes, damages) -> bytes:
+    for kind, place, how in damages:
+        i = int(place * len(whole))
+        if kind == "flip":
+            whole = whole[:i] + bytes([b ^ 1 << how for b in whole[i : i + 1]]) + whole[i + 1 :]
+        elif kind == "cut":
+            whole = whole[:i]
+        elif kind == "insert":
+            whole = whole[:i] + how + whole[i:]
+        elif kind == "overwrite":
+            whole = whole[:i] + how + whole[i + len(how) :]
+        elif kind == "remove":
+            whole = whole[:i] + whole[i + how :]
+        elif kind == "repeat":
+            whole = whole[: i + how] + whole[i:]
+        elif kind == "swap":
+            whole = whole[i:] + whole[:i] if how < 0.5 else whole[::-1]
+        else:
+            whole = how + whole[len(how) :]
+    return whole
+
+
+def memory(which: str) -> int:
+    """Bytes that this process has now (VmRSS), or had at most (VmHWM)."""
+    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith(which))
+    return 1024 * int(line.split()[1])
+
+
+def forget_peak() -> bool:
+    """Count the peak of memory anew; False where the system does not."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+        return True
+    return False
+
+
+def check(path: Path, content: bytes, topics, load, before: int | None) -> None:
+    """Read or refused in a sentence, in under 10 s and, from `before` on, 20 times the file's size."""
+    path.write_bytes(content)
+    began = time.perf_counter()
+    try:
+        load(path, topics)
+    except InputError as error:
+        said = str(error)
+        assert said.startswith(str(path)) and "\n" not in said and len(said) < 4000, said
+    assert time.perf_counter() - began < 10
+    if before is not None:
+        assert memory("VmHWM") - before < 20 * len(content) + 1.5 * MARGIN
+
+
+def fuzz(name: str, folder: Path, cases: int, load) -> None:
+    makers, suffix, topics = FORMATS[name]
+    wholes, path = [make(folder) for make in makers], folder / f"damaged{suffix}"
+    for whole in wholes:
+        path.write_bytes(whole)
+        assert load_recording(path, topics).hip is not None
+    before = memory("VmRSS") if forget_peak() else None
+
+    @settings(
+        max_examples=cases,
+        derandomize=True,
+        database=None,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+    )
+    @given(damages=DAMAGES, which=st.integers(0, len(wholes) - 1))
+    def run(damages, which):
+        check(path, damaged(wholes[which], damages), topics, load, before)
+
+    run()
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_damaged_files_are_read_or_refused(name, tmp_path):
+    fuzz(name, tmp_path, 100, Recording.load)
+
+
+@pytest.fixture
+def without_type_checks():
+    """They take most of the time, and change nothing."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FORMATS)
+def test_many_damaged_files_are_read_or_refused(name, tmp_path, without_type_checks):
+    fuzz(name, tmp_path, 2000, load_recording)
