@@ -22,6 +22,7 @@ from .parameters import Parameter, Selector, free_parameters
 from .problem import NOTICEABLE, Problem, channels_of, grouped, stacked_residuals
 from .progress import following
 from .result import Estimate, FitResult
+from .shooting import EXPLAINED, shots
 from .solve import Solutions, Trace, listen, solve
 from .transform import Identity, Logit
 from .uncertainty import Certainty, certainty
@@ -49,9 +50,9 @@ def fit(
     """Find the free numbers of a scene with which it answers as recorded.
 
     The recorded HIP path is the input; forces on the fingers and poses of the objects are compared with the
-    measured ones, each at its own times, over their noise. Levenberg-Marquardt runs from several starts side
-    by side; the best end is the estimate, its Gauss-Newton covariance gives standard errors and 95 %
-    intervals.
+    measured ones, each at its own times, over their noise. Levenberg-Marquardt runs from several starts;
+    the best end is the estimate, its Gauss-Newton covariance gives standard errors and 95 % intervals. With objects
+    that move and were seen to, each start is first brought near by shooting in windows.
 
     **Arguments:**
 
@@ -62,7 +63,8 @@ def fit(
     - `noise`: standard deviations `force` (N), `position` (m), `angle` (rad); estimated from the data where
       absent.
     - `bounds`: (low, high) by path.
-    - `starts`, `spread`, `seed`: how many starts; all but the first off by random factors up to `spread`.
+    - `starts`, `spread`, `seed`: how many starts, with windows at most; all but the first off by random factors up to
+      `spread`.
     - `max_steps`: solver steps for a start.
     - `progress`: show the steps on the terminal.
     - `names`: of the recordings, for messages and the report.
@@ -84,7 +86,7 @@ def fit(
             groups = grouped(scene, used, channels, called, parameters)
             problem = Problem(scene, groups, noise_of(used, noise, scene.integrator.dt.dtype), parameters)
             _check_count(problem)
-            ends = _searches(problem, starts, spread, seed, max_steps)
+            ends = _searches(problem, used, starts, spread, seed, max_steps)
             lost = _lost(problem, ends)
             if not 0 < len(lost) < len(kept):
                 break
@@ -95,15 +97,19 @@ def fit(
     return replace(result, findings=findings_of(scene, recordings, names, friction))
 
 
-def _searches(problem: Problem, starts: int, spread: float, seed: int, max_steps: int) -> Solutions:
+def _searches(
+    problem: Problem, recordings: Sequence[Recording], starts: int, spread: float, seed: int, max_steps: int
+) -> Solutions:
     """Solve, and again from where a better place may be that gradients do not lead to."""
-    ends = _search(problem, problem.start(), starts, spread, seed, max_steps)
+    scattered = _scatter(problem.start(), problem.parameters, starts, spread, seed)
+    begin = shots(scattered, problem, recordings)
+    ends = _search(problem, begin, max_steps)
     for _ in range(_MOST_SEARCHES - 1):
         better = _better(problem, ends)
         if better is None:
             break
-        more = _search(problem, better, starts, spread, seed, max_steps, begun=len(ends.loss))
-        ends = ends.joined(more)
+        about = _scatter(better, problem.parameters, len(begin), spread, seed)
+        ends = ends.joined(_search(problem, about, max_steps, begun=len(ends.loss)))
     return ends
 
 
@@ -118,12 +124,11 @@ def _lost(problem: Problem, ends: Solutions) -> set[int]:
     return found
 
 
-def _search(problem: Problem, first: Array, starts, spread, seed, max_steps, begun: int = 0) -> Solutions:
-    """Solve from `first` and others about it, numbered from `begun` on in the trace."""
-    tolerance = 1e-8 if first.dtype == jnp.float64 else 1e-5
-    scattered = _scatter(first, problem.parameters, starts, spread, seed)
-    places = begun + jnp.arange(starts)
-    ends = solve(stacked_residuals, scattered, places, problem, tolerance, tolerance, max_steps)
+def _search(problem: Problem, begin: Float[Array, "S p"], max_steps: int, begun: int = 0) -> Solutions:
+    """Solve from several starts, numbered from `begun` on in the trace."""
+    tolerance = 1e-8 if begin.dtype == jnp.float64 else 1e-5
+    places = begun + jnp.arange(len(begin))
+    ends = solve(stacked_residuals, begin, places, problem, tolerance, tolerance, max_steps)
     return jax.block_until_ready(ends)
 
 
@@ -183,16 +188,18 @@ def _result(
     }
     units = {name: float(getattr(problem.noise, name)) for name in size}
     rms = {key: size[key] * units[key] for key in size}
-    near = np.asarray(ends.loss) <= float(ends.loss[best]) + chance / 2
+    near = int(np.sum(np.asarray(ends.loss) <= float(ends.loss[best]) + chance / 2))
+    reason = _why_not(bool(ends.converged[best]), max(size.values()), near, len(ends.loss))
     return FitResult(
         parameters=estimates,
         scene=problem.scene_at(free),
         loss=float(ends.loss[best]),
         residual_rms={("pose" if key == "position" else key): value for key, value in rms.items()},
         noise=units,
-        converged=bool(ends.converged[best]),
+        converged=reason is None,
+        reason=reason,
         starts=len(ends.loss),
-        starts_at_best=int(np.sum(near)),
+        starts_at_best=near,
         wall_s=wall_s,
         covariance=known.covariance,
         singular_values=known.singular_values,
@@ -201,6 +208,21 @@ def _result(
         names=tuple(names),
         lost=lost,
     )
+
+
+def _why_not(tolerant: bool, size: float, near: int, starts: int) -> str | None:
+    """Why a fit does not count as converged; `None`: it does.
+
+    A solver's tolerances are no evidence of the best fit: the model explains the recordings, or several starts ended
+    at the same loss.
+    """
+    if not tolerant:
+        return "the solver reached max_steps before it met its tolerances"
+    if size >= EXPLAINED and near < 2:
+        return (
+            f"the residuals are {size:.1f} times the noise, and {near} of {starts} starts ended at this loss"
+        )
+    return None
 
 
 def _estimate(parameter: Parameter, free: Array, known: Certainty, i: int) -> Estimate:

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from hapjax import InputError, Recording, Reply, Scene, State, init, rollout, rotation
+from hapjax import InputError, Recording, Reply, Scene, State, init, rollout, rotation, step
 from hapjax.errors import within
 
+from .course import Course, restarted
 from .spells import forces_in
 
 CHANNELS = ("force", "pose")
@@ -37,7 +38,7 @@ class Observation(eqx.Module):
 
     `hips` (T, F, 3) m at intervals of the integrator's dt; `force` (N, F, 3) N; `pose` (N, O, 7); `gimbals` (T, F) rad,
     where the scene's torsion reads them; `place`, which of the recordings it is; `spells` (S, L), its spells of contact
-    where they run side by side.
+    where they run side by side; `course`, where the model's objects are put back to where they were measured.
     """
 
     hips: Float[Array, "*r T F 3"]
@@ -46,6 +47,7 @@ class Observation(eqx.Module):
     gimbals: Float[Array, "*r T F"] | None = None
     place: Int[Array, "*r"] = eqx.field(default_factory=lambda: jnp.zeros((), jnp.int32))
     spells: Int[Array, "*r S L"] | None = None
+    course: Course | None = None
 
 
 class Noise(eqx.Module):
@@ -106,27 +108,40 @@ def residuals(scene: Scene, observation: Observation, noise: Noise) -> dict[str,
 
 
 def predicted(scene: Scene, observation: Observation) -> dict[str, Float[Array, "N n m"]]:
-    """What the scene says of each observed channel at the times of its samples; NaN where a step was lost."""
+    """What the scene says of each observed channel at the times of its samples; NaN where a step was lost, but not where
+    restarts find it again."""
     if observation.spells is not None and observation.force is not None:
         force, lost = forces_in(scene, observation.hips, observation.spells)
         return {"force": jnp.where(lost, jnp.nan, observation.force.between(force))}
-    state, reply = played(scene, observation.hips, observation.gimbals)
+    state, reply = played(scene, observation.hips, observation.gimbals, observation.course)
     found = {}
     if observation.force is not None:
         found["force"] = observation.force.between(reply.force)
     if observation.pose is not None:
         first = jnp.stack([jnp.concatenate([m.position, m.orientation]) for m in state.motion.values()])
         found["pose"] = observation.pose.between(_unflipped(jnp.concatenate([first[None], reply.pose])))
+    if observation.course is not None:
+        return found
     lost = jnp.any(reply.lost)
     return {key: jnp.where(lost, jnp.nan, said) for key, said in found.items()}
 
 
 def played(
-    scene: Scene, hips: Float[Array, "T F 3"], gimbals: Float[Array, "T F"] | None
+    scene: Scene,
+    hips: Float[Array, "T F 3"],
+    gimbals: Float[Array, "T F"] | None,
+    course: Course | None = None,
 ) -> tuple[State, Reply]:
-    """The state before the first step, and the replies of all."""
+    """The state before the first step, and the replies of all, with the restarts of a course."""
     state = init(scene, hips[0], None if gimbals is None else gimbals[0])
-    return state, rollout(scene, state, hips, gimbals=gimbals)[1]
+    if course is None:
+        return state, rollout(scene, state, hips, gimbals=gimbals)[1]
+
+    def one(carry: State, x):
+        hip, gimbal, now = x
+        return step(scene, restarted(scene, carry, now), hip, gimbal=gimbal)
+
+    return state, jax.lax.scan(one, state, (hips, gimbals, course))[1]
 
 
 def _unflipped(pose: Float[Array, "T O 7"]) -> Float[Array, "T O 7"]:

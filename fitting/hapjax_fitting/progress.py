@@ -25,5 +25,6 @@ def following(trace: Trace, starts: int, max_steps: int):
             )
 
         trace.on_step = on_step
+        trace.on_stage = lambda stage: bar.update(task, description=stage)
         with listen(trace):
             yield trace

@@ -149,7 +149,7 @@ def _findings(result: FitResult) -> str:
 def _warnings(result: FitResult) -> list[str]:
     found = []
     if not result.converged:
-        found.append("The solver reached max_steps before it met its tolerances: a better fit may exist.")
+        found.append(f"Not converged: {result.reason}. A better fit may exist.")
     if result.starts > 1 and result.starts_at_best == 1:
         found.append("Only one start ended at the best loss: a better one may have been missed.")
     if result.lost:

@@ -38,7 +38,8 @@ class FitResult:
 
     `parameters` by path; `scene` with the best values; `loss`, half the sum of squared whitened residuals;
     `residual_rms` in N (`force`), m (`pose`) and rad (`angle`); `converged`: whether the solver met its
-    tolerances, which is no evidence of a good fit: compare `starts_at_best` of `starts`; `noise`, the
+    tolerances, and the residuals are below twice the noise or at least two starts ended at the best loss, else `reason`
+    says what is missing; `starts`, of which `starts_at_best` ended at the best loss; `noise`, the
     standard deviations that the residuals were divided by: `force` N, `position` m, `angle` rad; `trace`:
     each start's loss by step; `lost`, in how many recordings the model left the range of sense: they were dropped, and the
     fit is that of the others, which `recordings` holds; `findings`, what is odd about the recordings.
@@ -59,6 +60,7 @@ class FitResult:
     recordings: tuple[Recording, ...]
     names: tuple[str, ...]
     lost: int = 0
+    reason: str | None = None
     findings: tuple[Finding, ...] = ()
 
     @property
@@ -82,6 +84,7 @@ class FitResult:
             "loss": self.loss,
             "residual_rms": dict(self.residual_rms),
             "converged": self.converged,
+            "reason": self.reason,
             "starts": self.starts,
             "starts_at_best": self.starts_at_best,
             "wall_s": self.wall_s,

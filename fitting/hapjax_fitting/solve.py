@@ -51,6 +51,7 @@ class Trace:
     """What the solver tells while it runs: for each start, the loss at each of its steps."""
 
     on_step: Callable[[int, int, float], None] | None = None
+    on_stage: Callable[[str], None] | None = None
     losses: dict[int, dict[int, float]] = field(default_factory=dict)
 
     def add(self, start: int, step: int, loss: float) -> None:
@@ -72,6 +73,13 @@ def listen(trace: Trace):
     finally:
         jax.effects_barrier()
         _listening.remove(trace)
+
+
+def tell(stage: str) -> None:
+    """Say what is being done before the solver has steps to tell of."""
+    for trace in _listening:
+        if trace.on_stage is not None:
+            trace.on_stage(stage)
 
 
 def _hear(start: Array, step: Array, loss: Array) -> None:

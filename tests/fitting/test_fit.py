@@ -335,6 +335,7 @@ def test_json_is_strict_and_has_the_agreed_keys(tmp_path):
     result.save_json(tmp_path / "fit.json")
     read = json.loads((tmp_path / "fit.json").read_text(), parse_constant=no_constant)
     assert set(read) >= {"parameters", "loss", "residual_rms", "converged", "starts", "wall_s"}
+    assert read["converged"] is True and read["reason"] is None
     assert list(read["parameters"]) == BOTH
     mu, stiffness = (read["parameters"][name] for name in BOTH)
     assert set(mu) >= {"estimate", "standard_error", "interval95", "identified"}

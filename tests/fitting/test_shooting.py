@@ -1,0 +1,55 @@
+"""Shooting: from numbers far off, at which what is held is dropped, to ones from which a fit arrives."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fitting_cases import held_cube, shaken_cube
+from hapjax_fitting.fit import _why_not
+from hapjax_fitting.noise import noise_of
+from hapjax_fitting.parameters import free_parameters
+from hapjax_fitting.problem import Problem, grouped, loss_at, stacked_residuals
+from hapjax_fitting.shooting import shots
+from hapjax_fitting.solve import solve
+
+FREE = ["object.cube.body.mass", "object.cube.surface.stiffness", "object.cube.surface.mu"]
+TRUTH = np.array([0.2, 800.0, 0.6])
+
+
+def problem_of(scene, recording, free):
+    parameters = free_parameters(scene, free)
+    groups = grouped(scene, [recording], ("force", "pose"), ["r"], parameters)
+    return Problem(scene, groups, noise_of([recording], None, jnp.float64), parameters)
+
+
+@pytest.mark.slow
+def test_shooting_arrives_from_where_single_shooting_fails():
+    """Mass ten times too large, stiffness and mu ten times too small: the cube is dropped at once."""
+    recording = shaken_cube()
+    problem = problem_of(held_cube(), recording, FREE)
+    truth = problem.start()
+    far = truth + jnp.log(jnp.array([10.0, 0.1, 0.1]))
+    near = shots(far[None], problem, [recording])
+    np.testing.assert_allclose(near[0, :2], truth[:2], atol=0.05)
+    best = float(loss_at(truth, problem))
+    assert float(loss_at(near[0], problem)) < 2 * best
+    alone = solve(stacked_residuals, far[None], jnp.arange(1), problem, 1e-8, 1e-8, 100)
+    assert float(alone.loss[0]) > 10 * best
+
+
+def test_where_no_pose_was_measured_the_starts_are_as_they_were():
+    shaken = shaken_cube()
+    unseen = replace(shaken, pose=None, pose_t=None)
+    starts = jnp.zeros((2, 3))
+    assert shots(starts, problem_of(held_cube(), unseen, FREE), [unseen]) is starts
+
+
+def test_a_fit_that_does_not_explain_the_data_needs_two_starts_that_agree():
+    assert _why_not(True, 1.9, 1, 4) is None and _why_not(True, 5.0, 2, 4) is None
+    assert (
+        _why_not(True, 5.04, 1, 4)
+        == "the residuals are 5.0 times the noise, and 1 of 4 starts ended at this loss"
+    )
+    assert "max_steps" in (_why_not(False, 1.0, 4, 4) or "")
