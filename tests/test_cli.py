@@ -12,6 +12,7 @@ import pytest
 import hapjax
 from hapjax import cli
 from hapjax.cli import main
+from test_recording_mcap import bag
 
 HAPJAX = str(Path(sys.executable).parent / "hapjax")
 TABLE = """
@@ -57,6 +58,41 @@ def test_simulate_writes_the_forces_of_the_scene(tmp_path, stroke):
     np.testing.assert_array_equal(answer.hip, hapjax.Recording.load(stroke).hip)
     np.testing.assert_allclose(answer.force[:, 0, 2], 2.0, rtol=1e-12)
     assert np.max(np.abs(answer.force[:, 0, 0])) == pytest.approx(1.0, rel=1e-12)  # mu times the normal force
+
+
+def test_simulate_follows_the_topic_of_a_bag(tmp_path, stroke, capsys):
+    scene = write_table(tmp_path / "table.toml", 0.5, 1000.0)
+    path = hapjax.Recording.load(stroke).hip
+    assert path is not None
+    stamps = 10**18 + 10**6 * np.arange(len(path))
+    stamps[5] = stamps[4]  # so that there is something to say
+    bag(
+        tmp_path / "bag.mcap",
+        {"/tip": ("PointStamped", stamps, path[:, 0]), "/other": ("Point", stamps, path[:, 0])},
+    )
+    arguments = [
+        "simulate",
+        scene,
+        "--hip",
+        str(tmp_path / "bag.mcap"),
+        "--out",
+        str(tmp_path / "answer.mcap"),
+    ]
+    assert main([*arguments, "--topic", "hip=/tip"]) == 0
+    answer = hapjax.Recording.load(tmp_path / "answer.mcap")
+    assert answer.hip is not None
+    np.testing.assert_allclose(answer.hip, path, rtol=0, atol=1e-3)
+    assert "bag.mcap: time goes back: 1 of 400 samples of hip" in capsys.readouterr().err
+    for topics, words in (
+        ([], "--topic"),
+        (["hip:/tip"], "'hip:/tip'"),
+        (["hip=/tip", "hip=/other"], "'hip=/other'"),
+        (["hips=/tip"], "'hips'"),
+        (["hip=/nowhere"], "/nowhere"),
+    ):
+        assert main([*arguments, *(["--topic", *topics] if topics else [])]) == 2
+        sentence = capsys.readouterr().err
+        assert words in sentence and sentence.count("\n") == 1, sentence
 
 
 def test_simulate_dates_poses_at_the_end_of_the_step(tmp_path):
