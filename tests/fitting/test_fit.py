@@ -20,9 +20,7 @@ from fitting_cases import (
     TRUTH,
     floor,
     forces,
-    held_cube,
     recorded,
-    shaken_cube,
     stroke,
 )
 from hapjax import InputError, Recording
@@ -291,23 +289,6 @@ def test_a_product_alone_does_not_identify_its_factors():
     for name, other in (free, free[::-1]):
         assert not result.parameters[name].identified
         assert result.parameters[name].reason == f"not to be told apart from {other}"
-
-
-@pytest.mark.slow
-def test_a_moving_object_is_fitted_from_forces_and_poses():
-    free = ["object.cube.body.mass", "object.cube.surface.stiffness"]
-    off = held_cube(mass=0.25, stiffness=700.0)
-    result = fitted(shaken_cube(), scene=off, free=free, noise=None, starts=3, spread=1.3)
-    assert within(result, free[0], 0.2) and within(result, free[1], 800.0)
-    assert result.parameters[free[0]].standard_error < 0.01
-    assert set(result.residual_rms) == {"force", "pose", "angle"}
-    assert result.residual_rms["pose"] == pytest.approx(1e-4, rel=0.1)
-    mass = ["object.cube.body.mass"]
-    # Poses alone have a narrow basin: as many starts as a user has.
-    few = dict(observe="pose", noise=None, spread=1.3, starts=8)
-    poses = fitted(shaken_cube(), scene=held_cube(0.25), free=mass, **few)
-    assert within(poses, mass[0], 0.2, widths=4) and set(poses.residual_rms) == {"pose", "angle"}
-    assert poses.parameters[mass[0]].standard_error > result.parameters[mass[0]].standard_error
 
 
 def test_scenes_of_either_precision_are_fitted(dtype):
