@@ -61,6 +61,14 @@ def test_a_true_grasp_gives_no_finding(seed):
         assert found(in_hand(seed), scene) == (set(), "")
 
 
+def test_a_path_that_is_made_to_rest_along_an_axis_gives_no_finding():
+    t, path, _ = strokes()
+    path = path.copy()
+    path[100:, :, 2] = path[100, :, 2]
+    force = forces(floor(), path) + 0.02 * np.random.default_rng(4).standard_normal(path.shape)
+    assert found(Recording(hip=path, hip_t=t, force=force, force_t=t), friction=True) == (set(), "")
+
+
 def test_positions_alone_give_no_finding():
     bare = replace(on_floor(), force=None, force_t=None)
     assert found(replace(bare, pose=in_hand().pose, pose_t=in_hand().pose_t), floor(), friction=True) == (
