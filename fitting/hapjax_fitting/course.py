@@ -124,9 +124,8 @@ def _cubics(sampled, poses, times, span: int, noise) -> tuple[np.ndarray, ...]:
     place, vector = cubic[:, 0, :, :3], cubic[:, 0, :, 3:]
     rate = cubic[:, 1] / length[:, None, None]
     turn = _rotation(middle[..., 3:]) * Rotation.from_rotvec(vector.reshape(-1, 3))
-    # The spin in the object's frame is J(vector) d(vector)/dt, J being the right Jacobian, of a vector that is small.
-    spin = rate[..., 3:] - 0.5 * np.cross(vector, rate[..., 3:])
-    spin = np.reshape(turn.apply(spin.reshape(-1, 3)), spin.shape)
+    # In the object's frame the spin is d(vector)/dt: the vector, from the nearest sample, is small.
+    spin = np.reshape(turn.apply(rate[..., 3:].reshape(-1, 3)), vector.shape)
     orientation = turn.as_quat(scalar_first=True).reshape(*place.shape[:-1], 4)
     return np.concatenate([place, orientation], axis=-1), rate[..., :3], spin, np.mean(off**2, axis=(1, 2, 3))
 
