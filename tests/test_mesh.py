@@ -11,7 +11,7 @@ import trimesh
 from scipy.optimize import lsq_linear
 
 import hapjax
-from hapjax.shape import _grid
+from hapjax.shape import _grid, _planes
 from helpers import well_compiled
 from meshes import TILT, distance, entries, icosphere, inside, notched, torus, voxels
 from test_structure import equations
@@ -274,6 +274,24 @@ def test_a_concave_corner_holds_by_up_to_three_planes():
         np.testing.assert_allclose(
             np.sort(np.abs(held.corner.weights[i] * held.depth[i]))[::-1], np.sort(depth)[::-1], atol=1e-12
         )
+
+
+def test_a_vertex_normal_does_not_depend_on_how_faces_are_cut():
+    """Of a box the diagonals, however many of a face's two triangles end at a vertex."""
+    box = trimesh.creation.box((0.02, 0.02, 0.02))
+    normals = hapjax.Mesh(box.vertices, box.faces).topology.vertex_normals
+    np.testing.assert_allclose(normals, np.sign(box.vertices) / np.sqrt(3), atol=1e-12)
+
+
+def test_planes_that_meet_at_any_angle_share_the_force():
+    """Unit normals 60 degrees apart, with known shares: their pushes together are the force."""
+    planes = jnp.array([[1, 0, 0], [0.5, np.sqrt(0.75), 0], [0.5, np.sqrt(0.75), 0]])
+    force = 0.7 * planes[0] + 0.4 * planes[1]
+    size = float(jnp.linalg.norm(force))
+    count, faces = jnp.asarray(2, jnp.int32), jnp.array([3, 5, 3], jnp.int32)
+    corner = _planes.corner_of(planes, faces, count, force / size, faces[0])
+    np.testing.assert_allclose(size * corner.weights, [0.7, 0.4, 0], atol=1e-15)
+    np.testing.assert_array_equal(corner.faces[:2], [3, 5])
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Searches that take each point another time: one point after another on a CPU, all at once on other devices."""
+"""Searches that take each point another time: one after another where many points are on a CPU, else all at once."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,12 +8,15 @@ import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
 
+_FEW = 8  # the fingers of two hands: together they wait for the slowest, which is cheaper than to take turns
+
 
 def one_by_one(search: Callable[..., Any]) -> Callable[..., Any]:
     """A `search(tables, wanted, *numbers)` of one point, which under `vmap` is not made where it is not `wanted`.
 
     Loops of many points in step with each other all go on until the last one ends, and each reads tables at many places
-    at once. Here a point costs what its own search does, and the program has the same size for any number of points.
+    at once. Taken in turn a point costs what its own search does, and the program has the same size for any number of
+    points.
     What is returned of points that are not wanted has no meaning. Nothing is differentiated: the caller has stopped
     all gradients.
     """
@@ -46,6 +49,8 @@ def one_by_one(search: Callable[..., Any]) -> Callable[..., Any]:
 
     @custom_vmap
     def many(tables, wanted, numbers):
+        if wanted.size <= _FEW:
+            return together(tables, wanted, numbers)
         return lax.platform_dependent(tables, wanted, numbers, cpu=in_turn, default=together)
 
     @many.def_vmap
