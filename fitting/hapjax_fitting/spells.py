@@ -14,7 +14,7 @@ def spells_of(scene: Scene, hips: Float[Array, "R T F 3"]) -> Int[Array, "R S L"
     For scenes in which only fingers move. Filled up with T, which is no step. `None` where that gains little: a spell as
     long as the path is the path.
     """
-    found = [_edges(np.any(_touching(scene, path), axis=1)) for path in hips]
+    found = [_edges(np.asarray(jnp.any(_touching(scene, path), axis=1))) for path in hips]
     length = max(int((beyond - first).max(initial=1)) for first, beyond in found)
     if 2 * length > hips.shape[1]:
         return None
