@@ -132,7 +132,7 @@ def test_first_touch_is_that_of_brute_force(name):
         zero, yes = jnp.zeros((), start.dtype), jnp.ones((), bool)
 
         def one(a, b):
-            return _grid.first_entered(mesh.grid, mesh._corners, a, b, zero, yes)
+            return _grid.first_entered(mesh.grid, mesh.topology.patches, a, b, zero, yes)
 
         return jax.vmap(one)(start, end)
 

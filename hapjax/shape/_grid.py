@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..errors import InputError
-from ._table import span
+from ._table import rows, span
 from ._topology import LARGEST, SPARE
 from ._triangle import area_normal, dot
 
@@ -102,7 +102,7 @@ def _expand(number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def first_entered(
     grid: Grid,
-    corners_of,
+    patches: Float[Array, "T 5 3"],
     start: Float[Array, "3"],
     end: Float[Array, "3"],
     left: Float[Array, ""],
@@ -113,7 +113,7 @@ def first_entered(
     The triangle is -1 where there is none, or the search is not `wanted`. Nothing is differentiated here: the caller
     has stopped all gradients.
 
-    **Arguments:** `corners_of(triangle)` (3, 3) m; `left` (m): a start on the surface counts where this is 0; else it
+    **Arguments:** `patches`: see `Topology`; `left` (m): a start on the surface counts where this is 0; else it
     has left the surface, and entries within this distance of the start do not count.
     """
     way = end - start
@@ -121,8 +121,8 @@ def first_entered(
     length = jnp.sqrt(dot(way, way))
     slack = rounding(start, end, grid)
 
-    def enter(triangle):
-        return _enters(corners_of(triangle), start, end, slack)
+    def enter(patch):
+        return _enters(patch[:3], start, end, slack)
 
     def one(carry):
         cell, upcoming, offset, best, when, _ = carry
@@ -131,7 +131,7 @@ def first_entered(
         number = beyond - first
         places = offset + jnp.arange(CHUNK, dtype=jnp.int32)
         triangles = span(grid.triangles, first + offset, CHUNK).astype(jnp.int32)
-        hit, touching, t = jax.vmap(enter)(triangles)
+        hit, touching, t = jax.vmap(enter)(rows(patches, triangles))
         hit = (places < number) & jnp.where(left > 0, hit & (t * length > left), hit | touching)
         t = jnp.where(hit, t, jnp.inf)
         i = jnp.argmin(t)

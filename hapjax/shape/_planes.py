@@ -5,9 +5,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from .. import safe
-from ._hold import in_tables, unit_normal
+from ._hold import unit_normal
 from ._lanes import one_by_one
 from ._shape import Corner
+from ._table import rows
 from ._topology import Topology
 from ._triangle import dot
 from ._walk import beside, steepest
@@ -16,8 +17,9 @@ _FLAT = 1e-3  # sine of the angle from which on two planes count as one
 
 
 def holding(
-    tables: tuple[Topology, Float[Array, "V 3"]],
+    topology: Topology,
     triangle: Int[Array, ""],
+    patch: Float[Array, "5 3"],
     part: Int[Array, ""],
     query: Float[Array, "3"],
     held: Bool[Array, ""],
@@ -27,24 +29,25 @@ def holding(
     At an edge the two beside it. At a vertex the plane that the query is deepest below, then the one that the point
     so constrained is deepest below, then the one that the point constrained by both is. Nothing is differentiated.
     """
-    across, vertex = beside(tables[0], triangle, part)
+    across, vertex = beside(patch, part)
     at_vertex = held & (part >= 4)
-    corner = jnp.clip(part - 4, 0, 2)
+    peak = patch[jnp.clip(part - 4, 0, 2)]
     on_edge = jnp.stack([triangle, jnp.where(part > 0, across, triangle), triangle])
-    return jnp.where(at_vertex, _at_vertex(tables, at_vertex, triangle, corner, vertex, query), on_edge)
+    return jnp.where(at_vertex, _at_vertex(topology, at_vertex, vertex, peak, query), on_edge)
 
 
 @one_by_one
-def _at_vertex(tables, wanted, triangle, corner, vertex, query):
-    topology, corners_of = tables[0], in_tables(tables)
-    peak = corners_of(triangle)[corner]
-    first = steepest(topology, corners_of, vertex, query, wanted)
-    one = unit_normal(corners_of(first))
+def _at_vertex(topology, wanted, vertex, peak, query):
+    def normal_of(triangle):
+        return unit_normal(rows(topology.patches, triangle)[:3])
+
+    first = steepest(topology, vertex, query, wanted)
+    one = normal_of(first)
     place = query + dot(one, peak - query) * one
-    second = steepest(topology, corners_of, vertex, place, wanted)
-    along = safe.normalise(jnp.cross(one, unit_normal(corners_of(second))))
+    second = steepest(topology, vertex, place, wanted)
+    along = safe.normalise(jnp.cross(one, normal_of(second)))
     place = jnp.where(jnp.any(along != 0), peak + dot(along, query - peak) * along, place)
-    third = steepest(topology, corners_of, vertex, place, wanted)
+    third = steepest(topology, vertex, place, wanted)
     return jnp.stack([first, second, third])
 
 

@@ -59,14 +59,9 @@ def _reader(count: int):
 
     @read.def_vmap
     def _(size, batched, table, first):
-        places = jnp.arange(count, dtype=first.dtype)
-        places = (
-            first[:, None] + places[None]
-            if batched[1]
-            else jnp.broadcast_to((first + places)[None], (size, count))
-        )
-        if batched[0]:
-            return jax.vmap(lambda t, i: t.at[i].get(mode="clip"))(table, places), True
-        return _read(table, places), True
+        if size <= _FEW and not batched[0]:
+            return jnp.stack([lax.dynamic_slice_in_dim(table, i, count) for i in first]), True
+        axes = tuple(0 if is_batched else None for is_batched in batched)
+        return jax.vmap(lambda t, i: lax.dynamic_slice_in_dim(t, i, count), in_axes=axes)(table, first), True
 
     return read

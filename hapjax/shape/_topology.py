@@ -18,13 +18,13 @@ _ALLOWED = "allowed: a closed surface of triangles whose corners run counter-clo
 class Topology(eqx.Module):
     """Neighbours in a mesh. Whole numbers, kept as floats so that a scene has numbers of one type.
 
-    `neighbours`: the triangle across the edges from corners 0, 1 and 2. `fan`: the triangles about each vertex, one
+    `patches`: what a search wants to know of a triangle, in one row: its three corners (m), the triangles across the
+    edges from corners 0, 1 and 2, and the numbers of its vertices. `fan`: the triangles about each vertex, one
     vertex after another; that of vertex v starts at `fan_start[v]`; some zeros follow. `vertex_normals`: Baerentzen
     and Aanaes's angle-weighted ones, units.
     """
 
-    triangles: Float[Array, "T 3"]
-    neighbours: Float[Array, "T 3"]
+    patches: Float[Array, "T 5 3"]
     fan_start: Float[Array, "V1"]
     fan: Float[Array, "F"]
     vertex_normals: Float[Array, "V 3"]
@@ -130,7 +130,8 @@ def topology(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Topolog
     fan = np.argsort(corner, kind="stable") // 3
     fan_start = np.concatenate([[0], np.cumsum(np.bincount(corner, minlength=len(vertices)))])
     normals = vertex_normals(vertices, triangles)
-    parts = (triangles, neighbours, fan_start, np.pad(fan, (0, SPARE)), normals)
+    patches = np.concatenate([vertices[triangles], neighbours[:, None], triangles[:, None]], axis=1)
+    parts = (patches, fan_start, np.pad(fan, (0, SPARE)), normals)
     return Topology(*(jnp.asarray(part, dtype) for part in parts))
 
 

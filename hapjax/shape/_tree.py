@@ -9,7 +9,6 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ._hold import in_tables
 from ._lanes import one_by_one
 from ._planes import frozen
 from ._table import rows, span
@@ -65,7 +64,7 @@ def _starts(count: int, groups: int) -> np.ndarray:
 
 def nearest(
     tree: Tree,
-    tables: tuple[Topology, Float[Array, "V 3"]],
+    topology: Topology,
     query: Float[Array, "3"],
     reach: Float[Array, ""],
     wanted: Bool[Array, ""],
@@ -74,7 +73,7 @@ def nearest(
     first = tree.boxes[0]
     square = _square_to(jnp.min(first[0], axis=0), jnp.max(first[1], axis=0), query)
     wanted = wanted & (square <= reach**2)
-    found = _nearest(frozen((tree, tables)), wanted, *frozen((query, reach)))
+    found = _nearest(frozen((tree, topology)), wanted, *frozen((query, reach)))
     return jnp.where(wanted, found, -1)
 
 
@@ -87,8 +86,7 @@ def _square_to(low: Float[Array, "*n 3"], high: Float[Array, "*n 3"], query: Flo
 @one_by_one
 def _nearest(tables, wanted, query, reach):
     """Depth first, the nearest box first. What is still to open is a stack of boxes with their distances."""
-    tree, (topology, vertices) = tables
-    corners_of = in_tables((topology, vertices))
+    tree, topology = tables
     inner = tree.boxes.shape[0]
     ranks = 1
     while inner > (_CHILDREN**ranks - 1) // (_CHILDREN - 1):
@@ -109,7 +107,7 @@ def _nearest(tables, wanted, query, reach):
     def look(node, top, boxes, squares, best, square):
         first = rows(tree.start, node - inner).astype(jnp.int32)
         some = span(tree.triangles, first, _LEAF).astype(jnp.int32)
-        corners = corners_of(some) - query[None, None]
+        corners = rows(topology.patches, some)[:, :3] - query[None, None]
         points = jax.vmap(lambda c: nearest_point(c, nearest_part(c)))(corners)
         each = dot(points, points)
         i = jnp.argmin(each)
@@ -140,4 +138,4 @@ def _nearest(tables, wanted, query, reach):
     )
     best = lax.while_loop(goes_on, one, (*start, jnp.zeros((), jnp.int32)))[3]
     found = best >= 0
-    return jnp.where(found, descend(topology, corners_of, jnp.maximum(best, 0), query, found)[0], -1)
+    return jnp.where(found, descend(topology, jnp.maximum(best, 0), query, found)[0], -1)

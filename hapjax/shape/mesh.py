@@ -13,7 +13,7 @@ from .._validate import as_float, check_number, check_positive, flag, is_traced
 from ..errors import InputError
 from ._creases import Creases, creases_of
 from ._grid import Grid, grid_of
-from ._hold import hold, in_tables, pseudonormal, unit_normal
+from ._hold import hold, pseudonormal, unit_normal
 from ._planes import corner_of, frozen, holding
 from ._shape import Corner, Edges, Shape, SurfacePoint, Track, begin, ease
 from ._solid import Solid, solid_of
@@ -85,12 +85,12 @@ class Mesh(Shape):
     @property
     def faces(self) -> tuple[str, ...]:
         """The numbers of the triangles."""
-        return tuple(map(str, range(self.topology.triangles.shape[0])))
+        return tuple(map(str, range(self.topology.patches.shape[0])))
 
     @property
     def triangles(self) -> Int[Array, "T 3"]:
         """The vertices of each triangle."""
-        return self.topology.triangles.astype(jnp.int32)
+        return self.topology.patches[:, 4].astype(jnp.int32)
 
     def moved(self, vertices: Any) -> "Mesh":
         """The same triangles with other `vertices` (V, 3), m, before the scale.
@@ -101,8 +101,12 @@ class Mesh(Shape):
         vertices = as_float(vertices)
         check_number("vertices", vertices, "three finite numbers a vertex", shape=self.vertices.shape)
         if is_traced(vertices):
-            solid = solid_of(vertices[self.triangles])
-            return eqx.tree_at(lambda mesh: (mesh.vertices, mesh.solid), self, (vertices, solid))
+            corners = vertices[self.triangles]
+            return eqx.tree_at(
+                lambda mesh: (mesh.vertices, mesh.solid, mesh.topology.patches),
+                self,
+                (vertices, solid_of(corners), self.topology.patches.at[:, :3].set(corners)),
+            )
         vertices = jnp.asarray(vertices, self.vertices.dtype)
         points, faces = checked(vertices, self.triangles, float(self.scale))
         parts = _parts(points, faces, vertices, self.contact_points)
@@ -142,7 +146,7 @@ class Mesh(Shape):
         last = frozen(track.face).astype(jnp.int32)
         in_contact = jnp.any(frozen(track.stretch) != 0) & (last >= 0)
         last = jnp.where(last < 0, -1 - last, last)
-        triangle, held = hold(still.grid, still._tables, start, end, last, in_contact)
+        triangle, held = hold(still.grid, still.topology, start, end, last, in_contact)
         near = self._near(triangle, query)
         near = eqx.tree_at(lambda n: n.depth, near, jnp.where(held, near.depth, 0))
         near = eqx.tree_at(
@@ -195,15 +199,11 @@ class Mesh(Shape):
     def _search(self, query, reach, wanted) -> Int[Array, ""]:
         """The triangle nearest to `query`, m; -1 where it is farther than `reach`, before the scale."""
         still, place = frozen(self), frozen(query / self.scale)
-        return nearest(still.tree, still._tables, place, reach, wanted)
+        return nearest(still.tree, still.topology, place, reach, wanted)
 
-    @property
-    def _tables(self) -> tuple[Topology, Float[Array, "V 3"]]:
-        return self.topology, self.vertices
-
-    def _corners(self, triangle: Int[Array, ""]) -> Float[Array, "3 3"]:
-        """The corners of a triangle, before the scale."""
-        return in_tables(self._tables)(triangle)
+    def _corners(self, patch: Float[Array, "*n 5 3"]) -> Float[Array, "*n 3 3"]:
+        """The corners of a triangle, before the scale; they have the derivatives that the patch has not."""
+        return rows(self.vertices, patch[..., 4, :].astype(jnp.int32))
 
     def _face(self, triangle: Int[Array, "*n"]) -> Int[Array, "*n"]:
         """The face that a triangle belongs to."""
@@ -211,13 +211,14 @@ class Mesh(Shape):
 
     def _near(self, triangle: Int[Array, ""], query: Float[Array, "3"]) -> SurfacePoint:
         """The point of a triangle that is nearest to `query`, and the side of the surface that the query is on."""
-        corners = self.scale * self._corners(triangle) - query[None]
+        still = frozen(self)
+        patch = rows(still.topology.patches, triangle)
+        corners = self.scale * self._corners(patch) - query[None]
         part = nearest_part(frozen(corners))
         outward = nearest_point(corners, part)
         distance = safe.norm(outward)
         own = unit_normal(corners)
-        still = frozen(self)
-        pseudo = pseudonormal(still.topology, still._corners, triangle, part)
+        pseudo = pseudonormal(still.topology, patch, part)
         # On the surface itself the direction from the query to it is rounding error.
         clear = distance > 8 * jnp.finfo(query.dtype).eps * jnp.max(jnp.abs(query))
         side = jnp.where(dot(outward, pseudo) >= 0, 1, -1).astype(query.dtype)
@@ -226,7 +227,7 @@ class Mesh(Shape):
         depth = jnp.where(flat, dot(own, corners[0]), jnp.where(clear, side * distance, dot(pseudo, outward)))
         if self.shaded:
             blend = weights(corners, part)
-            ids = rows(self.topology.triangles, triangle).astype(jnp.int32)
+            ids = patch[4].astype(jnp.int32)
             mixed = safe.normalise(jnp.sum(blend[:, None] * rows(self.topology.vertex_normals, ids), axis=0))
             normal = jnp.where(jnp.any(mixed != 0), mixed, normal)
         return SurfacePoint(query + outward, normal, depth, self._face(triangle))
@@ -237,9 +238,10 @@ class Mesh(Shape):
             return None
         still = frozen(self)
         place = frozen(query / self.scale)
-        part = nearest_part(still._corners(triangle) - place[None])
-        planes = holding(still._tables, triangle, part, place, held)
-        normals = jax.vmap(lambda i: unit_normal(self._corners(i)))(planes)
+        patch = rows(still.topology.patches, triangle)
+        part = nearest_part(patch[:3] - place[None])
+        planes = holding(still.topology, triangle, patch, part, place, held)
+        normals = jax.vmap(unit_normal)(self._corners(rows(still.topology.patches, planes)))
         count = jnp.where(part == 0, 1, jnp.where(part < 4, 2, 3))
         return corner_of(normals, self._face(planes), count, near.normal, near.face)
 
