@@ -16,7 +16,7 @@ def one_by_one(search: Callable[..., Any]) -> Callable[..., Any]:
 
     Loops of many points in step with each other all go on until the last one ends, and each reads tables at many places
     at once. Taken in turn a point costs what its own search does, and the program has the same size for any number of
-    points.
+    points. So is one alone, since `vmap` would make a choice of ways a choice of what all of them found.
     What is returned of points that are not wanted has no meaning. Nothing is differentiated: the caller has stopped
     all gradients.
     """
@@ -49,7 +49,7 @@ def one_by_one(search: Callable[..., Any]) -> Callable[..., Any]:
 
     @custom_vmap
     def many(tables, wanted, numbers):
-        if wanted.size <= _FEW:
+        if 1 < wanted.size <= _FEW:
             return together(tables, wanted, numbers)
         return lax.platform_dependent(tables, wanted, numbers, cpu=in_turn, default=together)
 

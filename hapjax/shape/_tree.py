@@ -25,11 +25,13 @@ all, unless the point is all but equally far from many that lie apart, as in the
 class Tree(eqx.Module):
     """A box has 8 smaller ones, and those of the last rank have triangles.
 
-    `boxes` (m): the low and the high corners of each one's 8; those of box n are numbered from 8 n + 1 on. `start`: where
-    the triangles of each leaf begin in `triangles`, which some zeros follow. Whole numbers are kept as floats.
+    `boxes`: each one's 8; those of box n are numbered from 8 n + 1 on. Of each three rows of axes, then how far along these
+    the triangles reach at least and at most (m). The axes are the principal ones: where triangles lie about in a plane, a
+    box along the axes of the mesh would stand far out of it. `start`: where the triangles of each leaf begin in
+    `triangles`, which some zeros follow. Whole numbers are kept as floats.
     """
 
-    boxes: Float[Array, "N 2 8 3"]
+    boxes: Float[Array, "N 8 5 3"]
     start: Float[Array, "L"]
     triangles: Float[Array, "T"]
 
@@ -37,7 +39,7 @@ class Tree(eqx.Module):
 def tree_of(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Tree:
     """The tree of a mesh: halves of equal number along the longest axis, and so on."""
     corners = vertices[triangles]
-    middle, low, high = corners.mean(axis=1), corners.min(axis=1), corners.max(axis=1)
+    middle = corners.mean(axis=1)
     count, ranks = len(triangles), 1
     while _CHILDREN**ranks * _LEAF < count:
         ranks += 1
@@ -49,17 +51,29 @@ def tree_of(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Tree:
         size = np.maximum.reduceat(points, start[:-1]) - np.minimum.reduceat(points, start[:-1])
         key = points[np.arange(count), np.argmax(size, axis=1)[group]]
         order = order[np.lexsort((key, group))]
-    boxes = []
-    for rank in range(1, ranks + 1):
-        start = _starts(count, _CHILDREN**rank)[:-1]
-        ends = np.minimum.reduceat(low[order], start), np.maximum.reduceat(high[order], start)
-        boxes.append(np.stack([end.reshape(-1, _CHILDREN, 3) for end in ends], axis=1))
-    parts = (np.concatenate(boxes), _starts(count, _CHILDREN**ranks)[:-1], np.pad(order, (0, SPARE)))
+    boxes = [_boxes(corners[order], _starts(count, _CHILDREN**rank)) for rank in range(1, ranks + 1)]
+    boxes = np.concatenate(boxes).reshape(-1, _CHILDREN, 5, 3)
+    parts = (boxes, _starts(count, _CHILDREN**ranks)[:-1], np.pad(order, (0, SPARE)))
     return Tree(*(jnp.asarray(part, dtype) for part in parts))
 
 
 def _starts(count: int, groups: int) -> np.ndarray:
     return np.arange(groups + 1) * count // groups
+
+
+def _boxes(corners: Float[np.ndarray, "T 3 3"], start: Int[np.ndarray, "G1"]) -> Float[np.ndarray, "G 5 3"]:
+    """The axes and the ends of the box about each group of triangles."""
+    first, number = start[:-1], np.diff(start)
+
+    def mean(x):
+        return np.add.reduceat(x.mean(axis=1), first) / np.maximum(number, 1).reshape(-1, *[1] * (x.ndim - 2))
+
+    seen = corners - np.repeat(mean(corners), number, axis=0)[:, None]
+    axes = np.linalg.eigh(mean(seen[..., None] * seen[..., None, :]))[1].swapaxes(1, 2)
+    along = np.einsum("tij,tcj->tci", np.repeat(axes, number, axis=0), corners)
+    low = np.minimum.reduceat(along.min(axis=1), first)
+    high = np.maximum.reduceat(along.max(axis=1), first)
+    return np.concatenate([axes, low[:, None], high[:, None]], axis=1)
 
 
 def nearest(
@@ -70,22 +84,23 @@ def nearest(
     wanted: Bool[Array, ""],
 ) -> Int[Array, ""]:
     """The triangle nearest to `query`; -1 if none is within `reach` (m), or the search is not `wanted`."""
-    first = tree.boxes[0]
-    square = _square_to(jnp.min(first[0], axis=0), jnp.max(first[1], axis=0), query)
+    square = jnp.min(_square_to(tree.boxes[0], query))
     wanted = wanted & (square <= reach**2)
     found = _nearest(frozen((tree, topology)), wanted, *frozen((query, reach)))
     return jnp.where(wanted, found, -1)
 
 
-def _square_to(low: Float[Array, "*n 3"], high: Float[Array, "*n 3"], query: Float[Array, "*#n 3"]):
+def _square_to(boxes: Float[Array, "n 5 3"], query: Float[Array, "3"]) -> Float[Array, "n"]:
     """The square of the distance to boxes."""
-    beyond = jnp.maximum(jnp.maximum(low - query, query - high), 0)
+    along = dot(boxes[:, :3], query[None, None])
+    beyond = jnp.maximum(jnp.maximum(boxes[:, 3] - along, along - boxes[:, 4]), 0)
     return dot(beyond, beyond)
 
 
 @one_by_one
 def _nearest(tables, wanted, query, reach):
-    """Depth first, the nearest box first. What is still to open is a stack of boxes with their distances."""
+    """Depth first, the nearest box first. What is still to open is a stack of boxes, with their distances
+    and the height `below` those out of the same box."""
     tree, topology = tables
     inner = tree.boxes.shape[0]
     ranks = 1
@@ -93,18 +108,22 @@ def _nearest(tables, wanted, query, reach):
         ranks += 1
     slots = jnp.arange(_CHILDREN, dtype=jnp.int32)
 
-    def expand(node, top, boxes, squares, best, square):
-        box = rows(tree.boxes, node)
-        each = _square_to(box[0], box[1], query[None])
-        number = jnp.sum(each < square)
+    def give_up(node, top, below, boxes, squares, best, square):
+        # The others out of the same box are farther still.
+        return below[top], below, boxes, squares, best, square
+
+    def expand(node, top, below, boxes, squares, best, square):
+        each = _square_to(rows(tree.boxes, node), query)
+        number = jnp.sum(each < square).astype(jnp.int32)
         far_to_near, child = lax.sort((-each, _CHILDREN * node + 1 + slots), num_keys=1)
         # Those that are near enough come last: put them first.
         far_to_near, child = (jnp.roll(x, number) for x in (far_to_near, child))
+        below = lax.dynamic_update_slice_in_dim(below, jnp.full(_CHILDREN, top), top, 0)
         boxes = lax.dynamic_update_slice_in_dim(boxes, child, top, 0)
         squares = lax.dynamic_update_slice_in_dim(squares, -far_to_near, top, 0)
-        return top + number.astype(jnp.int32), boxes, squares, best, square
+        return top + number, below, boxes, squares, best, square
 
-    def look(node, top, boxes, squares, best, square):
+    def look(node, top, below, boxes, squares, best, square):
         first = rows(tree.start, node - inner).astype(jnp.int32)
         some = span(tree.triangles, first, _LEAF).astype(jnp.int32)
         corners = rows(topology.patches, some)[:, :3] - query[None, None]
@@ -112,15 +131,15 @@ def _nearest(tables, wanted, query, reach):
         each = dot(points, points)
         i = jnp.argmin(each)
         best = jnp.where(each[i] < square, some[i], best)
-        return top, boxes, squares, best, jnp.minimum(square, each[i])
+        return top, below, boxes, squares, best, jnp.minimum(square, each[i])
 
     def one(carry):
-        top, boxes, squares, best, square, count = carry
+        top, below, boxes, squares, best, square, count = carry
         top = top - 1
         node = boxes[top]
         kind = jnp.where(squares[top] >= square, 0, jnp.where(node < inner, 1, 2))
-        ways = (lambda _, *rest: rest, expand, look)
-        return *lax.switch(kind, ways, node, top, boxes, squares, best, square), count + 1
+        ways = (give_up, expand, look)
+        return *lax.switch(kind, ways, node, top, below, boxes, squares, best, square), count + 1
 
     def goes_on(carry):
         return (carry[0] > 0) & (carry[-1] < MOST)
@@ -129,13 +148,8 @@ def _nearest(tables, wanted, query, reach):
     top = wanted.astype(jnp.int32)
     # Just beyond the reach, so that what is as far as that is within.
     square = reach**2 * (1 + 4 * jnp.finfo(query.dtype).eps)
-    start = (
-        top,
-        jnp.zeros(depth, jnp.int32),
-        jnp.zeros(depth, query.dtype),
-        jnp.full((), -1, jnp.int32),
-        square,
-    )
-    best = lax.while_loop(goes_on, one, (*start, jnp.zeros((), jnp.int32)))[3]
+    none, zero = jnp.zeros(depth, jnp.int32), jnp.zeros((), jnp.int32)
+    start = (top, none, none, jnp.zeros(depth, query.dtype), zero - 1, square, zero)
+    best = lax.while_loop(goes_on, one, start)[4]
     found = best >= 0
     return jnp.where(found, descend(topology, jnp.maximum(best, 0), query, found)[0], -1)
