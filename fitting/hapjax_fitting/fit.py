@@ -16,6 +16,7 @@ from hapjax import InputError, Recording, Scene, cast
 from .breakaway import between, broken_away, is_static
 from .findings import findings_of
 from .grip import cost_of_grip, holding_instead, is_needed, largest_ratio, raised, slipping_instead
+from .interrupt import stopping_at_interrupts
 from .noise import noise_of, spread_of
 from .observation import CHANNELS, LOST
 from .parameters import Parameter, Selector, free_parameters
@@ -23,7 +24,7 @@ from .problem import NOTICEABLE, Problem, channels_of, grouped, stacked_residual
 from .progress import following
 from .result import Estimate, FitResult
 from .shooting import EXPLAINED, shots
-from .solve import Solutions, Trace, listen, solve
+from .solve import Solutions, Trace, expect, listen, so_far, solve
 from .transform import Identity, Logit
 from .uncertainty import Certainty, certainty
 
@@ -69,6 +70,9 @@ def fit(
     - `progress`: show the steps on the terminal.
     - `names`: of the recordings, for messages and the report.
 
+    Ctrl-C ends the search: the best numbers so far are returned, with `interrupted` true. Where there are none yet, or at
+    a second Ctrl-C, it raises `KeyboardInterrupt` as usual.
+
     **Raises:** `InputError`, in one sentence, where the arguments do not fit together.
     """
     began = time.perf_counter()
@@ -80,15 +84,23 @@ def fit(
     scene = cast(scene, jnp.result_type(float))
     parameters = free_parameters(scene, free, bounds)
     kept, trace = list(range(len(recordings))), Trace()
-    with following(trace, starts, max_steps) if progress else listen(trace):
+    showing = following(trace, max_steps) if progress else listen(trace)
+    with stopping_at_interrupts(trace), showing:
         while True:
+            trace.best.clear()
             used, called = [recordings[i] for i in kept], [names[i] for i in kept]
             groups = grouped(scene, used, channels, called, parameters)
             problem = Problem(scene, groups, noise_of(used, noise, scene.integrator.dt.dtype), parameters)
             _check_count(problem)
-            ends = _searches(problem, used, starts, spread, seed, max_steps)
+            try:
+                ends = _searches(problem, used, starts, spread, seed, max_steps)
+            except (KeyboardInterrupt, jax.errors.JaxRuntimeError) as error:
+                trace.interrupted |= isinstance(error, KeyboardInterrupt)
+                if not (trace.interrupted and trace.best):
+                    raise KeyboardInterrupt if trace.interrupted else error  # noqa: B904  a stop is no consequence
+                ends = so_far(stacked_residuals, problem, trace)
             lost = _lost(problem, ends)
-            if not 0 < len(lost) < len(kept):
+            if trace.interrupted or not 0 < len(lost) < len(kept):
                 break
             kept = [place for i, place in enumerate(kept) if i not in lost]
     missing = len(recordings) - len(kept) + len(lost)
@@ -115,7 +127,7 @@ def _searches(
 
 def _lost(problem: Problem, ends: Solutions) -> set[int]:
     """The places of the recordings in which the model leaves the range of sense at the best numbers."""
-    found, channels = set(), channels_of(ends.residuals, ends.free[ends.best], problem)
+    found, channels = set(), channels_of(ends.residuals, problem)
     for group in problem.groups:
         width = (group.force is not None) + 2 * (group.pose is not None)
         (_, first), channels = channels[0], channels[width:]
@@ -126,6 +138,7 @@ def _lost(problem: Problem, ends: Solutions) -> set[int]:
 
 def _search(problem: Problem, begin: Float[Array, "S p"], max_steps: int, begun: int = 0) -> Solutions:
     """Solve from several starts, numbered from `begun` on in the trace."""
+    expect(begun + len(begin))
     tolerance = 1e-8 if begin.dtype == jnp.float64 else 1e-5
     places = begun + jnp.arange(len(begin))
     ends = solve(stacked_residuals, begin, places, problem, tolerance, tolerance, max_steps)
@@ -171,7 +184,7 @@ def _result(
 ) -> FitResult:
     best = ends.best
     free = ends.free[best]
-    channels, matrix = channels_of(ends.residuals, free, problem), ends.jacobian
+    channels, matrix = channels_of(ends.residuals, problem), ends.jacobian
     size, variance = spread_of(channels, given_noise, len(free))
     cost, chance = cost_of_grip(free, problem), NOTICEABLE * float(np.mean(variance))
     widest = np.array([p.transform.widest for p in problem.parameters])
@@ -189,7 +202,11 @@ def _result(
     units = {name: float(getattr(problem.noise, name)) for name in size}
     rms = {key: size[key] * units[key] for key in size}
     near = int(np.sum(np.asarray(ends.loss) <= float(ends.loss[best]) + chance / 2))
-    reason = _why_not(bool(ends.converged[best]), max(size.values()), near, len(ends.loss))
+    reason = (
+        f"interrupted after {sum(map(len, trace.losses.values()))} steps"
+        if trace.interrupted
+        else _why_not(bool(ends.converged[best]), max(size.values()), near, len(ends.loss))
+    )
     return FitResult(
         parameters=estimates,
         scene=problem.scene_at(free),
@@ -198,6 +215,7 @@ def _result(
         noise=units,
         converged=reason is None,
         reason=reason,
+        interrupted=trace.interrupted,
         starts=len(ends.loss),
         starts_at_best=near,
         wall_s=wall_s,

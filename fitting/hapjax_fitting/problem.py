@@ -1,9 +1,9 @@
 """The least-squares problem of a fit: its residuals, their Jacobian, and the loss."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -85,14 +85,20 @@ def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Fl
     return found
 
 
-def channels_of(
-    stacked: Float[Array, " n"], free: Float[Array, " p"], problem: Problem
-) -> list[tuple[str, Float[Array, "_ _ _"]]]:
+def channels_of(stacked: Float[Any, " n"], problem: Problem) -> list[tuple[str, Float[np.ndarray, "_ _ _"]]]:
     """The residuals in one vector, taken apart again as `by_channel` has them."""
-    shapes = eqx.filter_eval_shape(by_channel, free, problem)
-    ends = np.cumsum([math.prod(shape.shape) for _, shape in shapes])
-    pieces = jnp.split(stacked, ends[:-1])
-    return [(key, piece.reshape(shape.shape)) for (key, shape), piece in zip(shapes, pieces, strict=True)]
+    found, begin = [], 0
+    stacked = np.asarray(stacked)
+    for group in problem.groups:
+        for key, samples in (("force", group.force), ("position", group.pose), ("angle", group.pose)):
+            if samples is None:
+                continue
+            recordings, times, things = samples.value.shape[:3]
+            size = recordings * times * things * 3
+            piece = stacked[begin : begin + size].reshape(recordings, times, things * 3)
+            found.append((key, piece))
+            begin += size
+    return found
 
 
 def loss_at(free: Float[Array, " p"], problem: Problem) -> Float[Array, ""]:

@@ -192,6 +192,6 @@ def _better_of(one: np.ndarray, other: np.ndarray, problem: Problem) -> np.ndarr
 
 
 def _is_explained(free: np.ndarray, problem: Problem, single: Problem) -> bool:
-    found = jnp.asarray(_residuals(free[None], single)[0])
-    size, _ = spread_of(channels_of(found, jnp.asarray(free), problem), None, len(free))
+    found = _residuals(free[None], single)[0]
+    size, _ = spread_of(channels_of(found, problem), None, len(free))
     return max(size.values()) < EXPLAINED
