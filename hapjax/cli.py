@@ -89,7 +89,7 @@ def fit(
     json: Path | None = None,
     report: Path | None = None,
     topic: tuple[str, ...] = (),
-) -> None:
+) -> int:
     """Find numbers of a scene from recordings, with 95 % intervals.
 
     Example: hapjax fit lift.npz --scene cube.toml --free object.cube.surface.mu object.cube.surface.stiffness
@@ -132,6 +132,7 @@ def fit(
             result.save_json(json)
         if report is not None:
             print(f"report: {fitting.write_report(result, report)}")
+    return 130 if result.interrupted else 0
 
 
 def benchmark(

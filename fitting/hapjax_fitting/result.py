@@ -42,7 +42,8 @@ class FitResult:
     says what is missing; `starts`, of which `starts_at_best` ended at the best loss; `noise`, the
     standard deviations that the residuals were divided by: `force` N, `position` m, `angle` rad; `trace`:
     each start's loss by step; `lost`, in how many recordings the model left the range of sense: they were dropped, and the
-    fit is that of the others, which `recordings` holds; `findings`, what is odd about the recordings.
+    fit is that of the others, which `recordings` holds; `findings`, what is odd about the recordings; `interrupted`: Ctrl-C
+    ended the search, and these are the best numbers so far.
     """
 
     parameters: Mapping[str, Estimate]
@@ -62,6 +63,7 @@ class FitResult:
     lost: int = 0
     reason: str | None = None
     findings: tuple[Finding, ...] = ()
+    interrupted: bool = False
 
     @property
     def correlation(self) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
@@ -48,15 +49,25 @@ class Solutions(eqx.Module):
 
 @dataclass
 class Trace:
-    """What the solver tells while it runs: for each start, the loss at each of its steps."""
+    """What the solver tells while it runs: for each start, the loss at each of its steps, and its best numbers.
+
+    `expected`: how many starts there will be, as far as is known; `should_stop` is asked at each step;
+    `interrupted`: the search was ended by Ctrl-C.
+    """
 
     on_step: Callable[[int, int, float], None] | None = None
     on_stage: Callable[[str], None] | None = None
     losses: dict[int, dict[int, float]] = field(default_factory=dict)
+    best: dict[int, tuple[float, np.ndarray]] = field(default_factory=dict)
+    expected: int = 0
+    should_stop: Callable[[], bool] | None = None
+    interrupted: bool = False
 
-    def add(self, start: int, step: int, loss: float) -> None:
+    def add(self, start: int, step: int, loss: float, free: np.ndarray) -> None:
         """Note one step of one start."""
         self.losses.setdefault(start, {})[step] = loss
+        if loss < self.best.get(start, (float("inf"),))[0]:
+            self.best[start] = loss, free
         if self.on_step is not None:
             self.on_step(start, step, loss)
 
@@ -71,7 +82,8 @@ def listen(trace: Trace):
     try:
         yield trace
     finally:
-        jax.effects_barrier()
+        if not trace.interrupted:
+            jax.effects_barrier()
         _listening.remove(trace)
 
 
@@ -82,9 +94,17 @@ def tell(stage: str) -> None:
             trace.on_stage(stage)
 
 
-def _hear(start: Array, step: Array, loss: Array) -> None:
+def expect(starts: int) -> None:
+    """Say how many starts there will be, those included that are done."""
     for trace in _listening:
-        trace.add(int(start), int(step), float(loss))
+        trace.expected = starts
+
+
+def _hear(start: Array, step: Array, loss: Array, free: Array) -> None:
+    for trace in _listening:
+        trace.add(int(start), int(step), float(loss), np.asarray(free))
+        if trace.should_stop is not None and trace.should_stop():
+            raise RuntimeError("interrupted")
 
 
 def jacobian(
@@ -142,13 +162,22 @@ def half_square(residuals: Residuals, free: Float[Array, " p"], args: Any) -> Fl
     return 0.5 * jnp.sum(residuals(free, args) ** 2)
 
 
+def so_far(residuals: Residuals, args: Any, trace: Trace) -> Solutions:
+    """Where each start of a search that was ended had got to."""
+    losses, found = zip(*(trace.best[start] for start in sorted(trace.best)), strict=True)
+    free, loss = jnp.stack([jnp.asarray(x) for x in found]), jnp.asarray(losses, found[0].dtype)
+    matrix, at_best = eqx.filter_jit(jacobian)(residuals, free[jnp.argmin(loss)], args)
+    steps = jnp.array([max(trace.losses[start]) for start in sorted(trace.best)])
+    return Solutions(free, loss, jnp.zeros(len(loss), bool), steps, at_best, matrix)
+
+
 @eqx.filter_jit
 def _solve(residuals: Residuals, starts, places, totals, args, rtol, atol, max_steps: int) -> Solutions:
     told = _told_whole(residuals)
 
     def one(start, place, total):
-        def tell(num_steps, loss_this_step, **_):
-            jax.debug.callback(_hear, place, num_steps[1], loss_this_step[1] * total)
+        def tell(num_steps, loss_this_step, y, **_):
+            jax.debug.callback(_hear, place, num_steps[1], loss_this_step[1] * total, y[1])
 
         # Levenberg-Marquardt begins with a damping of 1: right for a problem of about that size.
         scale = jax.lax.rsqrt(jnp.maximum(total, jnp.finfo(start.dtype).tiny))

@@ -340,7 +340,7 @@ def test_progress_is_shown_on_stderr_alone_and_on_a_terminal_alone(capfd, monkey
     monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes stderr for a terminal
     fitted(recorded(floor()), progress=True)
     out, err = capfd.readouterr()
-    assert out == "" and "2 starts, step" in err
+    assert out == "" and "of 2, step" in err and "left" in err
     fitted(recorded(floor()))
     assert capfd.readouterr() == ("", "")
 

@@ -1,0 +1,93 @@
+"""Ctrl-C during a fit: what was found so far is kept."""
+
+import json
+import os
+import signal
+import sys
+
+import pytest
+
+import hapjax
+from fitting_cases import BOTH, MU, SIGMA, floor, recorded
+from hapjax.cli import main
+from hapjax_fitting import fit, table
+from hapjax_fitting.progress import done
+from hapjax_fitting.solve import Trace
+
+
+def interrupting(monkeypatch, at, times=1):
+    """Have the process send itself a SIGINT at a step of the solver."""
+    add, count = Trace.add, [0]
+
+    def adding(self, *step):
+        add(self, *step)
+        count[0] += 1
+        if count[0] >= at and times > 0 and count[0] < at + times:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(Trace, "add", adding)
+    return count
+
+
+def fitted(**options):
+    return fit(floor(0.9, 500.0), recorded(floor()), BOTH, noise={"force": SIGMA}, starts=2, **options)
+
+
+@pytest.mark.parametrize("progress", [False, True])
+def test_an_interrupted_fit_keeps_the_best_so_far(monkeypatch, progress, capfd):
+    whole = fitted()
+    steps = sum(map(len, whole.trace.values()))
+    count = interrupting(monkeypatch, at=6)
+    result = fitted(progress=progress)
+    assert count[0] < steps and not result.converged and result.interrupted
+    assert result.reason == f"interrupted after {count[0]} steps"
+    assert result.loss == pytest.approx(min(result.trace[0].values()), rel=1e-9)
+    assert whole.loss <= result.loss < result.trace[0][0]
+    assert result.parameters[MU].estimate != whole.parameters[MU].estimate
+    assert "Not converged: interrupted after" in str(table(result).caption)
+    assert "Traceback" not in "".join(capfd.readouterr())
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.set_wakeup_fd(-1) == -1
+
+
+def test_with_nothing_found_yet_an_interrupt_goes_on(monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys.modules["hapjax_fitting.fit"], "shots", stop)
+    with pytest.raises(KeyboardInterrupt):
+        fitted()
+
+
+def test_a_handler_of_the_programs_own_is_left_alone(monkeypatch):
+    heard = []
+    before = signal.signal(signal.SIGINT, lambda *_: heard.append(1))
+    try:
+        interrupting(monkeypatch, at=3)
+        result = fitted()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert heard == [1] and result.converged
+
+
+@pytest.mark.slow
+def test_the_command_line_writes_what_it_has(tmp_path, monkeypatch, capsys):
+    recorded(floor()).save(tmp_path / "stroke.npz")
+    hapjax.save_scene(floor(0.9, 500.0), tmp_path / "scene.toml")
+    interrupting(monkeypatch, at=6)
+    files = ["--json", str(tmp_path / "fit.json"), "--report", str(tmp_path / "report")]
+    arguments = ["--scene", str(tmp_path / "scene.toml"), "--free", *BOTH, "--starts", "2", *files]
+    assert main(["fit", str(tmp_path / "stroke.npz"), *arguments]) == 130
+    assert MU in capsys.readouterr().out
+    figures = json.loads((tmp_path / "fit.json").read_text())
+    assert figures["converged"] is False and figures["reason"].startswith("interrupted after")
+    assert "interrupted after" in (tmp_path / "report" / "report.html").read_text()
+
+
+def test_the_time_left_goes_by_the_steps_that_other_starts_took():
+    trace = Trace(losses={0: {0: 9.0, 4: 1.0}})
+    assert done(trace, max_steps=100) == pytest.approx(0.04)
+    trace.losses[1] = {0: 8.0, 2: 1.0}
+    assert done(trace, max_steps=100) == pytest.approx(1.5)
+    trace.losses[1][40] = 1.0
+    assert done(trace, max_steps=100) < 2
