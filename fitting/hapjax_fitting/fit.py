@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from hapjax import InputError, Recording, Scene, cast
 
-from .breakaway import between, broken_away, is_static
+from .breakaway import broken_away, is_static, posterior
 from .findings import findings_of
 from .grip import cost_of_grip, holding_instead, is_needed, largest_ratio, raised, slipping_instead
 from .interrupt import stopping_at_interrupts
@@ -257,10 +257,11 @@ def _estimate(parameter: Parameter, free: Array, known: Certainty, i: int) -> Es
 
 
 def _breakaway(problem: Problem, free: Array, i: int, variance: float) -> Estimate:
-    """A mu_static: the middle of the values that the data allow, by the likelihood (Wilks) instead of by gradients."""
-    low, high = between(free, problem, i, 3.841459 * variance)
-    wide = between(free, problem, i, 6.634897 * variance)
-    return Estimate((low + high) / 2, (high - low) / (2 * 1.959964), (low, high), True, interval99=wide)
+    """A mu_static, by its likelihood instead of by gradients: the mean and the middle of what it leaves."""
+    likely = posterior(free, problem, i, variance)
+    return Estimate(
+        likely.mean(), likely.deviation(), likely.central(0.95), True, interval99=likely.central(0.99)
+    )
 
 
 def _interval(transform, free, deviation: float, width: float) -> tuple[float, float]:
