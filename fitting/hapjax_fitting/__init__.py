@@ -5,3 +5,4 @@ from .report import table as table
 from .report import write_report as write_report
 from .result import Estimate as Estimate
 from .result import FitResult as FitResult
+from .sensors import Sensors as Sensors

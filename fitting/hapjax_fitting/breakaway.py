@@ -111,8 +111,7 @@ def _range(free: Float[Array, " p"], problem: Problem, i: int) -> tuple[float, f
     parameter = problem.parameters[i]
     kinetic = find_leaf(problem.scene_at(free), parameter.path.removesuffix("mu_static") + "mu_kinetic")
     low = float(kinetic if parameter.index is None else kinetic[parameter.index])
-    sticking = problem.scene_at(raised(free, parameter, i))
-    return low, 1.02 * largest_ratio(sticking, problem.groups, parameter)
+    return low, 1.02 * largest_ratio(raised(free, parameter, i), problem, parameter)
 
 
 def _loss_of(free: Float[Array, " p"], problem: Problem, i: int) -> Callable[[float], float]:

@@ -19,13 +19,14 @@ from .grip import cost_of_grip, holding_instead, is_needed, largest_ratio, raise
 from .interrupt import stopping_at_interrupts
 from .noise import noise_of, spread_of
 from .observation import CHANNELS, LOST
-from .parameters import Parameter, Selector, free_parameters
+from .parameters import Parameter, Selector, free_parameters, paths_of, size_at
 from .problem import NOTICEABLE, Problem, channels_of, grouped, stacked_residuals
 from .progress import following
 from .result import Estimate, FitResult
+from .sensors import Sensors, Setup, explicit
 from .shooting import EXPLAINED, shots
 from .solve import Solutions, Trace, expect, listen, so_far, solve
-from .transform import Identity, Logit
+from .transform import Logit
 from .uncertainty import Certainty, certainty
 
 _MOST_SEARCHES = 4
@@ -40,6 +41,7 @@ def fit(
     *,
     observe: str | Sequence[str] = CHANNELS,
     noise: Mapping[str, float] | None = None,
+    sensors: Sensors | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     starts: int = 8,
     spread: float = 2.0,
@@ -63,6 +65,8 @@ def fit(
     - `observe`: what is compared, of `force` and `pose`.
     - `noise`: standard deviations `force` (N), `position` (m), `angle` (rad); estimated from the data where
       absent.
+    - `sensors`: how the recordings were measured, where that is known; free numbers of theirs (`sensor.force_bias` ...)
+      start there, or where a perfect sensor has them.
     - `bounds`: (low, high) by path.
     - `starts`, `spread`, `seed`: how many starts, with windows at most; all but the first off by random factors up to
       `spread`.
@@ -82,15 +86,17 @@ def fit(
     _check(scene, recordings, names, channels)
     _check_numbers(starts, spread, seed, max_steps)
     scene = cast(scene, jnp.result_type(float))
-    parameters = free_parameters(scene, free, bounds)
+    sensors = explicit(sensors or Sensors(), paths_of(scene, free), scene.integrator.dt.dtype)
+    parameters = free_parameters(Setup(scene, sensors), free, bounds)
     kept, trace = list(range(len(recordings))), Trace()
     showing = following(trace, max_steps) if progress else listen(trace)
     with stopping_at_interrupts(trace), showing:
         while True:
             trace.best.clear()
             used, called = [recordings[i] for i in kept], [names[i] for i in kept]
-            groups = grouped(scene, used, channels, called, parameters)
-            problem = Problem(scene, groups, noise_of(used, noise, scene.integrator.dt.dtype), parameters)
+            groups = grouped(scene, used, channels, called, parameters, sensors)
+            size = noise_of(used, noise, scene.integrator.dt.dtype)
+            problem = Problem(scene, groups, size, parameters, sensors)
             _check_count(problem)
             try:
                 ends = _searches(problem, used, starts, spread, seed, max_steps)
@@ -152,10 +158,7 @@ def _scatter(
     seed."""
     random = np.random.default_rng(seed).uniform(-1, 1, (starts, len(first)))
     random[0] = 0
-    size = [
-        abs(float(x)) if isinstance(p.transform, Identity) else 1.0
-        for p, x in zip(parameters, first, strict=True)
-    ]
+    size = [size_at(p, float(x), least=0.0) for p, x in zip(parameters, first, strict=True)]
     return first[None] + jnp.asarray(np.log(spread) * random * np.array(size), first.dtype)
 
 
@@ -184,6 +187,7 @@ def _result(
 ) -> FitResult:
     best = ends.best
     free = ends.free[best]
+    setup = problem.setup_at(free)
     channels, matrix = channels_of(ends.residuals, problem), ends.jacobian
     size, variance = spread_of(channels, given_noise, len(free))
     cost, chance = cost_of_grip(free, problem), NOTICEABLE * float(np.mean(variance))
@@ -209,7 +213,8 @@ def _result(
     )
     return FitResult(
         parameters=estimates,
-        scene=problem.scene_at(free),
+        scene=setup.scene,
+        sensors=setup.sensor,
         loss=float(ends.loss[best]),
         residual_rms={("pose" if key == "position" else key): value for key, value in rms.items()},
         noise=units,
@@ -276,8 +281,7 @@ def _not_identified(
     end = _reached_bound(parameter, float(free[i]))
     sticks = cost <= chance and not parameter.path.endswith("mu_kinetic")  # which says nothing of sliding
     if sticks and explained:
-        scene = problem.scene_at(raised(free, parameter, i) if cost <= 0 else free)
-        bound = largest_ratio(scene, problem.groups, parameter) or None
+        bound = largest_ratio(raised(free, parameter, i) if cost <= 0 else free, problem, parameter) or None
     if end is not None:
         reason = f"ran to its bound {end:g}"
     elif sticks and not explained:

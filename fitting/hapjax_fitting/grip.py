@@ -1,7 +1,5 @@
 """What recordings say of a mu: whether anything slipped, and if not, how large mu is at least."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from hapjax import Scene, rotation, safe
 
-from .observation import Observation, played
+from .observation import played
 from .parameters import Parameter
 from .problem import NOTICEABLE, Problem, loss_at
 from .transform import Logit
@@ -64,11 +62,11 @@ def slipping_instead(
     smaller ones are tried, from the largest |f_t| / f_n down to a thousandth, all `flat` ones of an object
     or contact at once.
     """
-    scene, found = problem.scene_at(free), None
+    found = None
     lowest = float(loss_at(free, problem)) - NOTICEABLE * variance / 2
     for part in sorted({_part(problem.parameters[i]) for i in np.flatnonzero(flat)}):
         places = [i for i in np.flatnonzero(flat) if _part(problem.parameters[i]) == part]
-        top = max(largest_ratio(scene, problem.groups, problem.parameters[i]) for i in places)
+        top = max(largest_ratio(free, problem, problem.parameters[i]) for i in places)
         base = free if found is None else found
         for factor in 0.98 * 1.5 ** -np.arange(18.0):
             trial = base
@@ -96,8 +94,7 @@ def holding_instead(
         parameter, base = problem.parameters[i], free if found is None else found
         if not parameter.path.endswith(".mu"):
             continue
-        gripping = problem.scene_at(raised(base, parameter, i))
-        enough = 1.02 * largest_ratio(gripping, problem.groups, parameter)
+        enough = 1.02 * largest_ratio(raised(base, parameter, i), problem, parameter)
         trial = base.at[i].set(value_near(parameter, enough, base)) if enough > 0 else base
         loss = float(loss_at(trial, problem))
         if loss < lowest:
@@ -130,16 +127,16 @@ def value_near(parameter: Parameter, value: float, like: Array) -> Array:
     return transform.free(jnp.asarray(value, like.dtype))
 
 
-def largest_ratio(scene: Scene, groups: Sequence[Observation], parameter: Parameter) -> float:
+def largest_ratio(free: Float[Array, " p"], problem: Problem, parameter: Parameter) -> float:
     """The largest ratio of tangential to normal force in the model of the recordings; 0 where nothing
     touches.
 
     Of a mu of one face, only touches on that face count. Touches of less than a thousandth of the firmest
     one are left out: their ratio is a quotient of rounding errors.
     """
-    largest = 0.0
-    for group in groups:
-        grip = grips(scene, group.hips, group.gimbals)[_part(parameter)]
+    largest, setup = 0.0, problem.setup_at(free)
+    for group in problem.groups:
+        grip = grips(setup.scene, setup.sensor.turned(group.hips), group.gimbals)[_part(parameter)]
         normal, tangential = np.asarray(grip.normal_force), np.asarray(grip.friction_force)
         firm = normal > 1e-3 * normal.max(initial=0)
         if parameter.index is not None:

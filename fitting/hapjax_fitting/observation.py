@@ -1,5 +1,7 @@
 """What a recording says about a scene: measured samples beside the model's, each channel at its own times."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,12 +12,14 @@ from hapjax import InputError, Recording, Reply, Scene, State, init, rollout, ro
 from hapjax.errors import within
 
 from .course import Course, restarted
+from .sensors import Sensors
 from .spells import forces_in
 
 CHANNELS = ("force", "pose")
 _LARGEST = 1e6  # N or m
 LOST = 1e6  # the whitened residual of what the model cannot follow
 _MOST_STEPS = 10_000_000  # almost three hours at 1 kHz
+PERFECT = Sensors()
 
 
 class Samples(eqx.Module):
@@ -30,6 +34,14 @@ class Samples(eqx.Module):
         """The model's series at the measurement's times, linearly interpolated."""
         weight = self.weight[:, None, None]
         return (1 - weight) * series[self.index] + weight * series[self.index + 1]
+
+    def earlier(self, steps: Float[Array, ""], length: int) -> "Samples":
+        """The same samples so many steps earlier in a series of this length, none beyond its ends."""
+        place = self.weight - steps
+        whole = jnp.floor(place)
+        index, weight = self.index + whole.astype(self.index.dtype), place - whole
+        weight = jnp.where(index < 0, 0, jnp.where(index > length - 2, 1, weight))
+        return Samples(self.value, jnp.clip(index, 0, length - 2), weight)
 
 
 class Observation(eqx.Module):
@@ -90,14 +102,26 @@ def observation_of(scene: Scene, recording: Recording, channels: tuple[str, ...]
     return Observation(jnp.asarray(hips, dtype), force, pose, gimbals)
 
 
-def residuals(scene: Scene, observation: Observation, noise: Noise) -> dict[str, Float[Array, "N m"]]:
+def as_sensed(sensors: Sensors, observation: Observation, dt: Float[Array, ""]) -> Observation:
+    """The observation with its path in the world's frame, and its samples at the times of what they show."""
+    steps, force, pose = len(observation.hips), observation.force, observation.pose
+    if force is not None and sensors.force_delay is not None:
+        force = force.earlier(sensors.force_delay / dt, steps)
+    if pose is not None and sensors.pose_delay is not None:
+        pose = pose.earlier(sensors.pose_delay / dt, steps + 1)
+    return replace(observation, hips=sensors.turned(observation.hips), force=force, pose=pose)
+
+
+def residuals(
+    scene: Scene, observation: Observation, noise: Noise, sensors: Sensors = PERFECT
+) -> dict[str, Float[Array, "N m"]]:
     """Predicted minus measured over the noise, m numbers a sample, for each of `force`, `position`, `angle`.
 
     A step's forces belong to the time of its HIP, its poses to the end of the step. A recording in which the model
     leaves the range of sense (overflow at absurd parameters) counts as `LOST` standard deviations throughout.
     """
     found = {}
-    said = predicted(scene, observation)
+    said = predicted(scene, observation, sensors)
     if observation.force is not None:
         found["force"] = (said["force"] - observation.force.value) / noise.force
     if observation.pose is not None:
@@ -107,9 +131,17 @@ def residuals(scene: Scene, observation: Observation, noise: Noise) -> dict[str,
     return {key: jnp.where(jnp.abs(r) < LOST, r, LOST).reshape(len(r), -1) for key, r in found.items()}
 
 
-def predicted(scene: Scene, observation: Observation) -> dict[str, Float[Array, "N n m"]]:
-    """What the scene says of each observed channel at the times of its samples; NaN where a step was lost, but not where
-    restarts find it again."""
+def predicted(
+    scene: Scene, observation: Observation, sensors: Sensors = PERFECT
+) -> dict[str, Float[Array, "N n m"]]:
+    """What the sensors show of the scene in each observed channel at the times of its samples; NaN where a step was
+    lost, but not where restarts find it again."""
+    observation = as_sensed(sensors, observation, scene.integrator.dt)
+    found = _predicted(scene, observation)
+    return found | {"force": sensors.shown(found["force"])} if "force" in found else found
+
+
+def _predicted(scene: Scene, observation: Observation) -> dict[str, Float[Array, "N n m"]]:
     if observation.spells is not None and observation.force is not None:
         force, lost = forces_in(scene, observation.hips, observation.spells)
         return {"force": jnp.where(lost, jnp.nan, observation.force.between(force))}

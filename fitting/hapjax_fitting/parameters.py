@@ -3,7 +3,7 @@
 import dataclasses
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,12 +13,17 @@ from jaxtyping import Array, Float
 
 from hapjax import InputError, Object, Scene
 
+from .sensors import Setup, size_of
 from .transform import Identity, Log, Logit, Transform
 
+Root = Scene | Setup
+_R = TypeVar("_R", Scene, Setup)
 Selector = str | Sequence[str] | Callable[[Scene], Any]
 
 # What can be below zero; every other number of a scene is a positive one and is fitted through its logarithm.
 _SIGNED = ("position", "orientation", "centre", "gravity", "grain")
+_SIGNED += ("force_bias", "force_delay", "pose_delay", "hip_rotation")
+_SMALL = 1e-2  # how far off other signed numbers are at least, in their unit
 # How the scene is computed, not what it is; the recordings are laid on the integrator's time grid once.
 _NOT_PHYSICAL = ("integrator",)
 
@@ -38,13 +43,24 @@ class Parameter:
         return self.path if self.index is None else f"{self.path}[{self.index}]"
 
 
+def size_at(parameter: Parameter, free: float, least: float = _SMALL) -> float:
+    """How far off an unconstrained number may well be: 1 for a logarithm, else its size and at least `least`, or what
+    is usual of a sensor."""
+    usual = None if isinstance(parameter.transform, Logit) else size_of(parameter.path)
+    if isinstance(parameter.transform, Identity):
+        return max(abs(free), least if usual is None else usual)
+    return 1.0 if usual is None else usual
+
+
 def moves_surface(parameter: Parameter) -> bool:
-    """Whether it is a number of an object's place or shape, on which it depends when fingers touch the object."""
+    """Whether when fingers touch an object depends on it: a number of its place or shape, or of the frame of HIP."""
+    if parameter.path == "sensor.hip_rotation":
+        return True
     kind, _, part, *_ = [*parameter.path.split("."), "", ""]
     return kind == "object" and part not in ("surface", "body")
 
 
-def find_leaf(scene: Scene, path: str) -> Float[Array, "*shape"]:
+def find_leaf(scene: Root, path: str) -> Float[Array, "*shape"]:
     """The leaf with a path such as `object.cube.surface.mu`. **Raises:** `InputError` where there is none."""
     node = _walk(scene, path)
     if not eqx.is_array(node):
@@ -54,7 +70,7 @@ def find_leaf(scene: Scene, path: str) -> Float[Array, "*shape"]:
     return node
 
 
-def _walk(scene: Scene, path: str) -> Any:
+def _walk(scene: Root, path: str) -> Any:
     node: Any = scene
     walked: list[str] = []
     for name in path.split("."):
@@ -64,7 +80,7 @@ def _walk(scene: Scene, path: str) -> Any:
 
 
 def free_parameters(
-    scene: Scene, free: Selector, bounds: Mapping[str, tuple[float, float]] | None = None
+    scene: Root, free: Selector, bounds: Mapping[str, tuple[float, float]] | None = None
 ) -> tuple[Parameter, ...]:
     """The free numbers that paths, or a function from the scene to its leaves, select, in their order.
 
@@ -72,14 +88,8 @@ def free_parameters(
     directions as they are. **Raises:** `InputError` for unknown paths, repeated ones, the integrator's numbers, and
     starting values outside their transform.
     """
-    if callable(free):
-        paths = _selected_paths(scene, free)
-    else:
-        paths = [free] if isinstance(free, str) else list(free)
-    if not paths:
-        raise InputError("free is empty; allowed: at least one parameter's path")
     parameters: list[Parameter] = []
-    for given in paths:
+    for given in paths_of(scene, free):
         parameters += _expand(scene, given, bounds or {})
     names = [p.name for p in parameters]
     for name in names:
@@ -93,21 +103,32 @@ def free_parameters(
     return tuple(parameters)
 
 
-def values_of(scene: Scene, parameters: tuple[Parameter, ...]) -> Float[Array, "p"]:
+def paths_of(scene: Root, free: Selector) -> list[str]:
+    """The paths of what is free. **Raises:** `InputError` where there are none."""
+    if callable(free):
+        paths = _selected_paths(scene.scene if isinstance(scene, Setup) else scene, free)
+    else:
+        paths = [free] if isinstance(free, str) else list(free)
+    if not paths:
+        raise InputError("free is empty; allowed: at least one parameter's path")
+    return paths
+
+
+def values_of(scene: Root, parameters: tuple[Parameter, ...]) -> Float[Array, "p"]:
     """The parameters' values in a scene."""
     leaves = [find_leaf(scene, p.path) for p in parameters]
     return jnp.stack([x if p.index is None else x[p.index] for x, p in zip(leaves, parameters, strict=True)])
 
 
-def with_values(scene: Scene, parameters: tuple[Parameter, ...], values: Float[Array, "p"]) -> Scene:
-    """The scene with other values of its parameters."""
+def with_values(scene: _R, parameters: tuple[Parameter, ...], values: Float[Array, "p"]) -> _R:
+    """The scene, or scene and sensors, with other values of its parameters."""
     leaves = {p.path: find_leaf(scene, p.path) for p in parameters}
     for i, p in enumerate(parameters):
         leaves[p.path] = values[i] if p.index is None else leaves[p.path].at[p.index].set(values[i])
     return eqx.tree_at(lambda s: [_walk(s, path) for path in leaves], scene, list(leaves.values()))
 
 
-def _expand(scene: Scene, given: str, bounds: Mapping[str, tuple[float, float]]) -> list[Parameter]:
+def _expand(scene: Root, given: str, bounds: Mapping[str, tuple[float, float]]) -> list[Parameter]:
     match = re.fullmatch(r"(.*)\[([0-9]+)\]", given)
     path = match.group(1) if match else given
     if path.split(".")[0] in _NOT_PHYSICAL:
@@ -160,6 +181,8 @@ def _parts(node: Any) -> dict[str, Any]:
     """What a path can go on with; an object's shape lends it its numbers, as in the scene file."""
     if isinstance(node, Mapping):
         return dict(node)
+    if isinstance(node, Setup):
+        return _parts(node.scene) | {"sensor": node.sensor}
     if not dataclasses.is_dataclass(node):
         return {}
     parts = {f.name: getattr(node, f.name) for f in dataclasses.fields(node)}

@@ -13,8 +13,9 @@ from jaxtyping import Array, Float
 
 from hapjax import Recording, Scene
 
-from .observation import Noise, Observation, observation_of, residuals
+from .observation import PERFECT, Noise, Observation, observation_of, residuals
 from .parameters import Parameter, moves_surface, values_of, with_values
+from .sensors import Sensors, Setup
 from .solve import half_square
 from .spells import spells_of
 
@@ -30,11 +31,16 @@ class Problem(eqx.Module):
     groups: tuple[Observation, ...]
     noise: Noise
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
+    sensors: Sensors = eqx.field(default_factory=Sensors)
 
     def scene_at(self, free: Float[Array, " p"]) -> Scene:
         """The scene with the free numbers put in."""
+        return self.setup_at(free).scene
+
+    def setup_at(self, free: Float[Array, " p"]) -> Setup:
+        """The scene and the sensors with the free numbers put in."""
         values = jnp.stack([p.transform.value(x) for p, x in zip(self.parameters, free, strict=True)])
-        return with_values(self.scene, self.parameters, values)
+        return with_values(Setup(self.scene, self.sensors), self.parameters, values)
 
     def measured(self) -> int:
         """How many numbers were measured: a pose is seven, of which six are free."""
@@ -43,7 +49,7 @@ class Problem(eqx.Module):
 
     def start(self) -> Float[Array, " p"]:
         """The free numbers of the scene as it was given."""
-        values = values_of(self.scene, self.parameters)
+        values = values_of(Setup(self.scene, self.sensors), self.parameters)
         return jnp.stack([p.transform.free(v) for p, v in zip(self.parameters, values, strict=True)])
 
 
@@ -53,6 +59,7 @@ def grouped(
     channels: tuple[str, ...],
     names: Sequence[str],
     parameters: tuple[Parameter, ...],
+    sensors: Sensors = PERFECT,
 ) -> tuple[Observation, ...]:
     """Observations of equal sizes stacked along a first axis. **Raises:** `InputError` as
     `observation_of`."""
@@ -65,7 +72,9 @@ def grouped(
     if scene.moving() or any(moves_surface(p) for p in parameters):
         return tuple(stacked)
     return tuple(
-        group if group.gimbals is not None else replace(group, spells=spells_of(scene, group.hips))
+        group
+        if group.gimbals is not None
+        else replace(group, spells=spells_of(scene, sensors.turned(group.hips)))
         for group in stacked
     )
 
@@ -77,10 +86,11 @@ def stacked_residuals(free: Float[Array, " p"], problem: Problem) -> Float[Array
 
 def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Float[Array, "_ _ _"]]]:
     """Whitened residuals of each group's channels: of R recordings, N samples of m numbers."""
-    scene = problem.scene_at(free)
+    setup = problem.setup_at(free)
     found = []
     for group in problem.groups:
-        each = jax.vmap(partial(residuals, scene), in_axes=(0, None))(group, problem.noise)
+        one = partial(residuals, setup.scene)
+        each = jax.vmap(one, in_axes=(0, None, None))(group, problem.noise, setup.sensor)
         found += list(each.items())
     return found
 

@@ -10,7 +10,7 @@ import numpy as np
 from hapjax import Recording, Scene, Surface, rotation
 
 from .grip import grips
-from .observation import CHANNELS, Observation, observation_of, predicted
+from .observation import CHANNELS, Observation, as_sensed, observation_of, predicted
 from .result import FitResult
 
 
@@ -64,7 +64,7 @@ def replay(result: FitResult, recording: Recording, name: str) -> Replay:
     """Play a recording through the fitted scene."""
     scene = result.scene
     observation = observation_of(scene, recording, _channels(scene, recording), name)
-    said = jax.jit(predicted)(scene, observation)
+    said = jax.jit(predicted)(scene, observation, result.sensors)
     assert recording.hip_t is not None
     dt = float(scene.integrator.dt)
     times = recording.hip_t[0] + dt * np.arange(len(observation.hips))
@@ -73,6 +73,7 @@ def replay(result: FitResult, recording: Recording, name: str) -> Replay:
         samples = getattr(observation, key)
         time = times[0] + dt * (np.asarray(samples.index) + np.asarray(samples.weight, np.float64))
         channels[key] = Compared(time, np.asarray(samples.value), np.asarray(said[key]))
+    observation = as_sensed(result.sensors, observation, scene.integrator.dt)
     gimbals = None if observation.gimbals is None else observation.gimbals[None]
     played = grips(scene, observation.hips[None], gimbals)
     found = {path: jax.tree.map(lambda x: np.asarray(x)[0], grip) for path, grip in played.items()}
@@ -95,7 +96,7 @@ def _touching(
     if surface.mu_kinetic is not None:
         sliding = _of_face(surface.mu_kinetic, grip.face) * grip.normal_force
         slipping |= (size > 0) & (np.abs(size - sliding) <= 1e-4 * sliding)
-    measured = _measured(path, found, observation) if grip.direction is not None else None
+    measured = _measured(result, path, found, observation) if grip.direction is not None else None
     slopes = _slopes(result, path, np.unique(grip.face[grip.normal_force > 0]))
     if any("at least" in name for name in slopes) or not slopes:
         limit = None
@@ -134,7 +135,9 @@ def _of_face(mu, face: np.ndarray) -> np.ndarray:
     return value[face] if value.ndim else value
 
 
-def _measured(path: str, found: dict[str, Any], observation: Observation) -> np.ndarray | None:
+def _measured(
+    result: FitResult, path: str, found: dict[str, Any], observation: Observation
+) -> np.ndarray | None:
     """Measured forces taken apart along the normals that the model has at those times."""
     if observation.force is None:
         return None
@@ -143,7 +146,7 @@ def _measured(path: str, found: dict[str, Any], observation: Observation) -> np.
     for other, grip in found.items():
         if other != path and grip.direction is not None:
             alone &= ~(grip.normal_force > 0)
-    force, direction = np.asarray(observation.force.value), found[path].direction[index]
+    force, direction = result.sensors.corrected(observation.force.value), found[path].direction[index]
     normal = np.sum(force * direction, axis=-1)
     tangential = np.linalg.norm(force - normal[..., None] * direction, axis=-1)
     return np.stack([normal, tangential], axis=-1)[alone[index]]

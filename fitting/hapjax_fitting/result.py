@@ -4,7 +4,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from hapjax import Finding, Recording, Scene
 from hapjax.files import replacing
 
+from .sensors import Sensors
 from .uncertainty import correlation
 
 
@@ -36,7 +37,7 @@ class Estimate:
 class FitResult:
     """The outcome of a fit.
 
-    `parameters` by path; `scene` with the best values; `loss`, half the sum of squared whitened residuals;
+    `parameters` by path; `scene` and `sensors` with the best values; `loss`, half the sum of squared whitened residuals;
     `residual_rms` in N (`force`), m (`pose`) and rad (`angle`); `converged`: whether the solver met its
     tolerances, and the residuals are below twice the noise or at least two starts ended at the best loss, else `reason`
     says what is missing; `starts`, of which `starts_at_best` ended at the best loss; `noise`, the
@@ -64,6 +65,7 @@ class FitResult:
     reason: str | None = None
     findings: tuple[Finding, ...] = ()
     interrupted: bool = False
+    sensors: Sensors = field(default_factory=Sensors)
 
     @property
     def correlation(self) -> np.ndarray:

@@ -19,9 +19,9 @@ from hapjax import Recording
 
 from .course import Course, course_of, stacked, unseen
 from .noise import spread_of
+from .parameters import size_at
 from .problem import Problem, channels_of, stacked_residuals
 from .solve import tell
-from .transform import Identity
 
 EXPLAINED = 2.0  # residuals up to so many times the noise: the model explains the recordings
 _SHORT, _FEW = 0.05, 5  # s and samples in the shortest windows but those of one step
@@ -156,9 +156,8 @@ def _scanned(free: Float[np.ndarray, " p"], problem: Problem) -> Float[np.ndarra
 
 
 def _units(free: Float[np.ndarray, " p"], problem: Problem) -> Float[np.ndarray, " p"]:
-    """A unit for each number: 1 for logarithms, else its size, and a hundredth at least."""
-    signed = [isinstance(p.transform, Identity) for p in problem.parameters]
-    return np.where(signed, np.maximum(np.abs(free), 1e-2), 1.0)
+    """A unit for each number: how far off it may well be."""
+    return np.array([size_at(p, float(x)) for p, x in zip(problem.parameters, free, strict=True)])
 
 
 def _loss(residuals: Float[np.ndarray, "S n"]) -> Float[np.ndarray, " S"]:
