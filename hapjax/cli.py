@@ -89,6 +89,7 @@ def fit(
     json: Path | None = None,
     report: Path | None = None,
     topic: tuple[str, ...] = (),
+    compare: tuple[str, ...] = (),
 ) -> int:
     """Find numbers of a scene from recordings, with 95 % intervals.
 
@@ -108,6 +109,8 @@ def fit(
         report: Folder for the report, an HTML page.
         topic: Of ROS 2 bags: the topics of each channel, one a finger or object, such as hip=/left/tip,/right/tip
             force=/left/sensor,/right/sensor pose=/cube.
+        compare: Friction laws to put in the place of that of each surface whose mu is free, of cone viscous stribeck karnopp
+            dahl lugre; what is reported is the fit with the lowest BIC.
     """
     fitting, topics = need("hapjax_fitting", "fitting"), parsed(topic)
     with jax.enable_x64(True):
@@ -116,24 +119,25 @@ def fit(
         if report is not None:
             check_makeable(report)
         loaded = [load_recording(path, topics) for path in recordings]
-        result = fitting.fit(
-            load_scene(scene),
-            loaded,
-            free,
-            observe=observe,
-            starts=starts,
-            spread=spread,
-            seed=seed,
-            progress=True,
-            names=[str(path) for path in recordings],
-        )
+        options: dict[str, Any] = {"observe": observe, "starts": starts, "spread": spread, "seed": seed}
+        options |= {"progress": True, "names": [str(path) for path in recordings]}
+        beside: dict[str, Any] = {}  # what is said beside the fit, by its name in the figures
+        if compare:
+            scenes, chosen = fitting.with_laws(load_scene(scene), compare, free)
+            beside["comparison"] = compared = fitting.compare(scenes, loaded, chosen, **options)
+            result = compared.models[compared.best["bic"]].result
+        else:
+            result = fitting.fit(load_scene(scene), loaded, free, **options)
+        sections = [part.section() for part in beside.values()]
+        for section in sections:
+            Console().print(section.table())
         Console().print(fitting.table(result))
         for finding in result.findings:
             print(f"finding: {finding}")
         if json is not None:
-            result.save_json(json)
+            result.save_json(json, {name: part.to_dict() for name, part in beside.items()})
         if report is not None:
-            print(f"report: {fitting.write_report(result, report)}")
+            print(f"report: {fitting.write_report(result, report, sections=sections)}")
     return 130 if result.interrupted else 0
 
 

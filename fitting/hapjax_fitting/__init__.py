@@ -1,8 +1,13 @@
 """Identification: friction, stiffness, torsional grip and inertia from recordings, with honest intervals."""
 
+from .compare import Comparison as Comparison
+from .compare import Model as Model
+from .compare import compare as compare
 from .fit import fit as fit
+from .laws import with_laws as with_laws
 from .report import table as table
 from .report import write_report as write_report
 from .result import Estimate as Estimate
 from .result import FitResult as FitResult
+from .section import Section as Section
 from .sensors import Sensors as Sensors

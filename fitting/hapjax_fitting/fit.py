@@ -27,7 +27,7 @@ from .sensors import Sensors, Setup, explicit
 from .shooting import EXPLAINED, shots
 from .solve import Solutions, Trace, expect, listen, so_far, solve
 from .transform import Logit
-from .uncertainty import Certainty, certainty
+from .uncertainty import Certainty, certainty, information
 
 _MOST_SEARCHES = 4
 # Residuals beyond so many times the noise: what the model says of slip is then not what the recordings say.
@@ -230,6 +230,10 @@ def _result(
         recordings=tuple(recordings),
         names=tuple(names),
         lost=lost,
+        problem=problem,
+        free=np.asarray(free),
+        information=information(np.asarray(matrix), variance),
+        measured={key: sum(r.size for name, r in channels if name == key) for key in size},
     )
 
 

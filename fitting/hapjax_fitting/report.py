@@ -1,7 +1,7 @@
 """A fit for people: a table for the terminal, and one HTML page with plots that needs nothing else."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from hapjax import InputError
 from hapjax.files import replacing
 
 from .result import Estimate, FitResult
+from .section import Section, figure
 
 _STYLE = """
 :root { color-scheme: light dark; }
@@ -67,13 +68,17 @@ def _row(name: str, estimate: Estimate, truth: Mapping[str, float] | None, inter
 
 
 def write_report(
-    result: FitResult, folder: str | os.PathLike[str], truth: Mapping[str, float] | None = None
+    result: FitResult,
+    folder: str | os.PathLike[str],
+    truth: Mapping[str, float] | None = None,
+    sections: Sequence[Section] = (),
 ) -> Path:
     """Write `report.html` into a folder, which is made if need be, and return the file's path.
 
     The page is complete in itself, and it is written whole or not at all.
 
-    **Arguments:** `truth` as for `table`.
+    **Arguments:** `truth` as for `table`; `sections`, what else is to stand in it: `section()` of a `Comparison`, a
+    `Profile`, a `Suggestion`.
 
     **Raises:** `InputError` where the file cannot be written, or `truth` names what was not free.
     """
@@ -85,15 +90,15 @@ def write_report(
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: no such folder can be made: {error.strerror or error}") from error
-    page = _page(result, truth, plots.figures(result, truth))
+    page = _page(result, truth, plots.figures(result, truth), "".join(part.html() for part in sections))
     with replacing(path) as file:
         file.write(page)
     return path
 
 
-def _page(result: FitResult, truth: Mapping[str, float] | None, figures) -> str:
+def _page(result: FitResult, truth: Mapping[str, float] | None, figures, more: str) -> str:
     sections = "".join(
-        f"<section><h2>{escape(heading)}</h2>{''.join(_figure(*f) for f in group)}</section>\n"
+        f"<section><h2>{escape(heading)}</h2>{''.join(figure(*f) for f in group)}</section>\n"
         for heading, group in figures.items()
     )
     return (
@@ -102,14 +107,8 @@ def _page(result: FitResult, truth: Mapping[str, float] | None, figures) -> str:
         f"<title>hapjax fit</title><style>{_STYLE}</style></head><body>\n"
         f"<h1>Fit of {_count(len(result.parameters), 'parameter')} to "
         f"{_count(len(result.recordings), 'recording')}</h1>\n"
-        f"{_html_table(result, truth)}\n{_summary(result)}\n{_findings(result)}{sections}</body></html>\n"
+        f"{_html_table(result, truth)}\n{_summary(result)}\n{_findings(result)}{more}{sections}</body></html>\n"
     )
-
-
-def _figure(png: str, caption: str) -> str:
-    text = escape(caption)
-    image = f'<img alt="{text}" src="data:image/png;base64,{png}">'
-    return f"<figure>{image}</figure>\n"
 
 
 def _html_table(result: FitResult, truth: Mapping[str, float] | None) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from hapjax import Finding, Recording, Scene
 from hapjax.files import replacing
 
+from .problem import Problem
 from .sensors import Sensors
 from .uncertainty import correlation
 
@@ -44,7 +45,9 @@ class FitResult:
     standard deviations that the residuals were divided by: `force` N, `position` m, `angle` rad; `trace`:
     each start's loss by step; `lost`, in how many recordings the model left the range of sense: they were dropped, and the
     fit is that of the others, which `recordings` holds; `findings`, what is odd about the recordings; `interrupted`: Ctrl-C
-    ended the search, and these are the best numbers so far.
+    ended the search, and these are the best numbers so far; `measured`, how many numbers of each channel were compared.
+    For what goes on from here: `problem`, what was solved; `free` (p,), the transformed numbers at the best; `information`
+    (p, p) of them, J'V^-1 J, Fisher's for the variances V that the residuals turned out to have.
     """
 
     parameters: Mapping[str, Estimate]
@@ -66,6 +69,10 @@ class FitResult:
     findings: tuple[Finding, ...] = ()
     interrupted: bool = False
     sensors: Sensors = field(default_factory=Sensors)
+    problem: Problem = field(repr=False, compare=False, kw_only=True)
+    free: np.ndarray = field(repr=False, compare=False, kw_only=True)
+    information: np.ndarray = field(repr=False, compare=False, kw_only=True)
+    measured: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def correlation(self) -> np.ndarray:
@@ -97,16 +104,16 @@ class FitResult:
         }
         return _finite(figures)
 
-    def save_json(self, path: str | os.PathLike) -> None:
-        """Write the figures as JSON, whole or not at all."""
+    def save_json(self, path: str | os.PathLike, beside: Mapping[str, Any] | None = None) -> None:
+        """Write the figures as JSON, whole or not at all; `beside`, other figures under keys of their own."""
         with replacing(path) as file:
-            json.dump(self.to_dict(), file, indent=2, allow_nan=False)
+            json.dump(self.to_dict() | _finite(dict(beside or {})), file, indent=2, allow_nan=False)
             file.write("\n")
 
 
 def _finite(figure: Any) -> Any:
     if isinstance(figure, Mapping):
         return {key: _finite(value) for key, value in figure.items()}
-    if isinstance(figure, list):
+    if isinstance(figure, list | tuple):
         return [_finite(value) for value in figure]
     return None if isinstance(figure, float) and not math.isfinite(figure) else figure

@@ -61,6 +61,13 @@ def certainty(
     return Certainty(covariance, identified, all_values, lost)
 
 
+def information(jacobian: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Fisher's information J'V^-1 J (p, p) of Gaussian residuals with the Jacobian (n, p) and the variances (n,)."""
+    return np.einsum(
+        "ni,n,nj->ij", jacobian, 1 / np.maximum(variance, np.finfo(float).tiny), jacobian, optimize=True
+    )
+
+
 def correlation(covariance: np.ndarray) -> np.ndarray:
     """The correlations of a covariance; 0 where a variance is 0."""
     deviation = np.sqrt(np.diag(covariance))

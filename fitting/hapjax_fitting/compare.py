@@ -1,0 +1,213 @@
+"""Several models of the same recordings, compared by information criteria and by what they were not fitted to."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from hapjax import InputError, Recording, Scene
+
+from .fit import fit
+from .parameters import Selector
+from .problem import grouped, stacked_residuals
+from .result import FitResult
+from .section import Section
+
+_FOLDS, _PIECES = 4, 4  # parts that are held out in turn; of a single recording, pieces in time of each part
+CRITERIA = {"aic": "AIC", "aicc": "AICc", "bic": "BIC", "held_out": "held-out error"}
+
+
+@dataclass(frozen=True)
+class Model:
+    """One of the models that were compared.
+
+    `result`, its fit to all recordings; `numbers`, how many were fitted, noises that were estimated included; `aic`,
+    `aicc`, `bic`: information criteria, of which only differences between models have a meaning; `held_out`: root mean
+    square of the residuals, over the noise, of parts that it was not fitted to, `None` where none could be held out.
+    """
+
+    result: FitResult
+    numbers: int
+    aic: float
+    aicc: float
+    bic: float
+    held_out: float | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Models by name, and which is `best` by each of `aic`, `aicc`, `bic`, `held_out`."""
+
+    models: Mapping[str, Model]
+    best: Mapping[str, str]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures, ready for JSON."""
+        figures = {
+            name: {
+                "loss": model.result.loss,
+                "numbers": model.numbers,
+                **{key: getattr(model, key) for key in CRITERIA},
+                "converged": model.result.converged,
+                "parameters": model.result.to_dict()["parameters"],
+            }
+            for name, model in self.models.items()
+        }
+        return {"models": figures, "best": dict(self.best)}
+
+    def section(self) -> Section:
+        """The table, and which model is best by what."""
+        least = {
+            key: min(getattr(model, key) for model in self.models.values()) for key in ("aic", "aicc", "bic")
+        }
+        rows = [
+            (
+                name,
+                f"{model.result.loss:.6g}",
+                str(model.numbers),
+                *(f"{getattr(model, key) - low:+.1f}" for key, low in least.items()),
+                "" if model.held_out is None else f"{model.held_out:.4g}",
+                "yes" if model.result.converged else "no",
+            )
+            for name, model in self.models.items()
+        ]
+        headings = ("loss", "numbers", "AIC", "AICc", "BIC", "held-out error", "converged")
+        return Section("Models compared", (self._in_words(),), ("model", *headings), tuple(rows))
+
+    def _in_words(self) -> str:
+        by_model = {
+            name: [CRITERIA[key] for key, best in self.best.items() if best == name] for name in self.models
+        }
+        said = [f"{name} by {', '.join(criteria)}" for name, criteria in by_model.items() if criteria]
+        return f"Best: {'; '.join(said)}. AIC, AICc and BIC are above the lowest one's; held-out error is in noises."
+
+
+def compare(
+    models: Mapping[str, Scene],
+    recordings: Recording | Sequence[Recording],
+    free: Selector | Mapping[str, Selector],
+    **options: Any,
+) -> Comparison:
+    """Fit several models to the same recordings, and say which explains them best.
+
+    Each model is fitted to all recordings, for the information criteria, and again without one part of them after the
+    other, for the error of what was held out: of several recordings a quarter of them (one by one, where there are fewer
+    than four), of a single one a quarter of its samples, in four pieces spread over its time; the fingers' path is an input
+    and stays whole.
+
+    The criteria are those of Gaussian residuals (Burnham and Anderson 2002, sections 2.2, 2.4 and 6.4): with L the
+    likelihood, K numbers, n measured ones, AIC = -2 log L + 2 K, AICc = AIC + 2 K (K + 1) / (n - K - 1),
+    BIC = -2 log L + K log n. Of a channel whose noise is not given, -2 log L is n log of its mean square, and the
+    noise counts among the numbers.
+
+    **Arguments:**
+
+    - `models`: scenes by name.
+    - `free`: as for `fit`, one for all models or one for each by name.
+    - `options`: other arguments of `fit`.
+
+    **Raises:** `InputError` as `fit`, and where `models` are fewer than two or `free` lacks one.
+    """
+    recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if len(models) < 2:
+        raise InputError(f"models has {len(models)}; allowed: at least two")
+    chosen = dict(free) if isinstance(free, Mapping) else {name: free for name in models}
+    for name in models:
+        if name not in chosen:
+            raise InputError(f"free lacks the model {name}; allowed: {', '.join(models)}, each once")
+    results = {}
+    for name, scene in models.items():
+        results[name] = fit(scene, recordings, chosen[name], **options)
+        if results[name].interrupted:
+            raise KeyboardInterrupt
+    found = {name: _model(result, recordings, chosen[name], options) for name, result in results.items()}
+    best = {}
+    for key in CRITERIA:
+        values = {name: getattr(model, key) for name, model in found.items()}
+        if None not in values.values():
+            best[key] = min(values, key=lambda name, values=values: values[name])
+    return Comparison(found, best)
+
+
+def _model(
+    result: FitResult, recordings: Sequence[Recording], free: Selector, options: Mapping[str, Any]
+) -> Model:
+    numbers, deviance = len(result.parameters), 0.0
+    for key, size in result.measured.items():
+        square = (result.residual_rms["pose" if key == "position" else key] / result.noise[key]) ** 2
+        if key in (options.get("noise") or {}):
+            deviance += size * square
+        else:
+            deviance, numbers = deviance + size * np.log(max(square, 1e-300)), numbers + 1
+    count = sum(result.measured.values())
+    aic = deviance + 2 * numbers
+    small = 2 * numbers * (numbers + 1) / (count - numbers - 1) if count > numbers + 1 else np.inf
+    return Model(
+        result,
+        numbers,
+        float(aic),
+        float(aic + small),
+        float(deviance + numbers * np.log(count)),
+        _held_out(result, recordings, free, options),
+    )
+
+
+def _held_out(
+    result: FitResult, recordings: Sequence[Recording], free: Selector, options: Mapping[str, Any]
+) -> float | None:
+    """The root mean square, over the noise, of residuals of what each of several fits was not fitted to."""
+    square, count = 0.0, 0
+    observe = options.get("observe", ("force", "pose"))
+    channels = (observe,) if isinstance(observe, str) else tuple(observe)
+    quick = {k: v for k, v in options.items() if k not in ("names", "starts", "spread", "seed", "progress")}
+    for kept, left in _parts(recordings, channels):
+        told = quick | {"noise": dict(result.noise), "starts": 1}
+        part = fit(result.scene, kept, free, **told)
+        if part.interrupted:
+            raise KeyboardInterrupt
+        names = [f"held-out part {i + 1}" for i in range(len(left))]
+        groups = grouped(part.scene, left, channels, names, part.problem.parameters)
+        found = _residuals(part.free, replace(part.problem, groups=groups))
+        square, count = square + float(np.sum(np.asarray(found) ** 2)), count + found.size
+    return float(np.sqrt(square / count)) if count else None
+
+
+_residuals = jax.jit(stacked_residuals)
+
+
+def _parts(
+    recordings: Sequence[Recording], channels: Sequence[str]
+) -> list[tuple[list[Recording], list[Recording]]]:
+    """What is fitted to, and what is held out from it, in turn."""
+    if len(recordings) > 1:
+        folds = min(_FOLDS, len(recordings))
+        place = np.arange(len(recordings)) % folds
+        return [
+            ([r for r, p in zip(recordings, place, strict=True) if p != fold],
+             [r for r, p in zip(recordings, place, strict=True) if p == fold])
+            for fold in range(folds)
+        ]  # fmt: skip
+    (recording,) = recordings
+    sizes = [len(times) for c in channels if (times := getattr(recording, f"{c}_t")) is not None]
+    if min(sizes) < 2 * _FOLDS * _PIECES:
+        return []
+    return [
+        (_of_time(recording, channels, fold, True), _of_time(recording, channels, fold, False))
+        for fold in range(_FOLDS)
+    ]
+
+
+def _of_time(recording: Recording, channels: Sequence[str], fold: int, kept: bool) -> list[Recording]:
+    """The recording without the pieces of one part, or with them alone; all parts are of the same size."""
+    changes = {}
+    for channel in channels:
+        values, times = getattr(recording, channel), getattr(recording, f"{channel}_t")
+        if values is None:
+            continue
+        length = len(times) // (_FOLDS * _PIECES)
+        part = np.arange(length * _FOLDS * _PIECES) // length % _FOLDS
+        rows = np.flatnonzero((part != fold) == kept)
+        changes |= {channel: values[rows], f"{channel}_t": times[rows]}
+    return [replace(recording, **changes)]
