@@ -7,6 +7,8 @@ likelihood itself, a staircase, says how well it is known.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,10 +19,11 @@ from .grip import largest_ratio, raised, value_near
 from .parameters import find_leaf
 from .problem import NOTICEABLE, Problem, loss_at
 
-_LANES = 10  # rollouts side by side, to bound the memory
-_CELLS = 100
+_LANES, _AT_ONCE = 50, 100_000  # rollouts side by side, and steps of them, to bound the memory
+_TRIED, _CELLS, _DRAWS = 100, 50, 20
 _UNLIKELY = 15.0  # values less likely than the best by exp(-15) count for nothing
-_NARROWINGS = 3
+_ZOOMS = 6
+_SAME = 1e-3  # a difference of a loss that is none
 
 
 @dataclass(frozen=True)
@@ -59,32 +62,58 @@ def broken_away(free: Float[Array, " p"], problem: Problem, variance: float) -> 
         start = free if found is None else found
         low, high = _range(start, problem, i)
         for _ in range(2):  # the second time more finely, about the best of the first
-            values = np.geomspace(low, high, _CELLS) if 0 < low < high else np.zeros(0)
+            values = np.geomspace(low, high, _TRIED) if 0 < low < high else np.zeros(0)
             if not len(values):
                 break
-            losses = _losses(start, problem, i, values)
+            losses = _losses(np.tile(start, (len(values), 1)), problem, i, values)
             best = int(np.argmin(losses))
-            if losses[best] < lowest:
-                lowest, found = float(losses[best]), _with(start, problem, i, float(values[best]))
-            low, high = float(values[max(best - 1, 0)]), float(values[min(best + 1, _CELLS - 1)])
+            # The middle of all that are as good: at the edge the next step of another number would meet a jump.
+            alike = np.flatnonzero(losses <= losses[best] + _SAME * variance)
+            middle = alike[(len(alike) - 1) // 2] if np.ptp(alike) < len(alike) else best
+            if losses[middle] < lowest:
+                lowest, found = float(losses[middle]), _with(start, problem, i, float(values[middle]))
+            low, high = float(values[max(best - 1, 0)]), float(values[min(alike[-1] + 1, _TRIED - 1)])
     return found
 
 
-def posterior(free: Float[Array, " p"], problem: Problem, i: int, variance: float) -> Posterior:
-    """How likely each mu_static is, all else as in `free`; `variance`, that of the whitened residuals.
+def posterior(
+    free: Float[Array, " p"], problem: Problem, i: int, variance: float, covariance: Float[np.ndarray, "p p"]
+) -> Posterior:
+    """How likely each mu_static is; `variance`, that of the whitened residuals, `covariance`, that of the others.
 
     Where a jump of the likelihood is far above the noise, all values between two jumps are alike likely, and no other.
+    Where the jumps are depends on the other numbers, which are not known either: it is the mean over draws of them,
+    each as likely as the data make it.
     """
     low, high = _between(free, problem, i, 2 * _UNLIKELY * variance)
-    for _ in range(_NARROWINGS):
+    least, most = _range(free, problem, i)
+    others, surplus = _draws(free, i, covariance)
+    for _ in range(_ZOOMS):
         edges = np.linspace(low, high, _CELLS + 1)
-        losses = _losses(free, problem, i, (edges[1:] + edges[:-1]) / 2)
-        weight = np.exp((losses.min() - losses) / variance)
-        likely = np.flatnonzero(weight > np.exp(-_UNLIKELY))
-        low, high = float(edges[likely[0]]), float(edges[likely[-1] + 1])
-        if 2 * (high - low) > edges[-1] - edges[0]:
+        middles = (edges[1:] + edges[:-1]) / 2
+        losses = _losses(np.tile(others, (_CELLS, 1)), problem, i, np.repeat(middles, len(others)))
+        logs = surplus - losses.reshape(_CELLS, len(others)) / variance
+        weight = np.exp(logs - logs.max()).sum(axis=1)
+        likely = np.flatnonzero(weight > np.exp(-_UNLIKELY) * weight.max())
+        wide, first, last = high - low, edges[likely[0]], edges[likely[-1] + 1]
+        low = max(least, low - wide / 2) if likely[0] == 0 else first
+        high = min(most, high + wide / 2) if likely[-1] == _CELLS - 1 else last
+        if low >= edges[0] and high <= edges[-1] and 2 * (high - low) > wide:
             break
     return Posterior(edges, weight / weight.sum())
+
+
+def _draws(free: Float[Array, " p"], i: int, covariance: Float[np.ndarray, "p p"]):
+    """Likely values of the other numbers, half of them opposite the other half; and by how much more often the data
+    want each than it is drawn, as a logarithm, but for the loss."""
+    spread = np.array(covariance)
+    spread[i], spread[:, i] = 0, 0
+    size, direction = np.linalg.eigh(spread)
+    normal = np.random.default_rng(0).standard_normal((_DRAWS // 2, len(free)))
+    normal /= np.sqrt(np.mean(normal**2, axis=0))
+    normal = np.concatenate([normal, -normal]) * (size > 0)
+    moved = (normal * np.sqrt(np.maximum(size, 0))) @ direction.T
+    return np.asarray(free)[None] + moved, 0.5 * np.sum(normal**2, axis=1)
 
 
 def _between(free: Float[Array, " p"], problem: Problem, i: int, allowed: float) -> tuple[float, float]:
@@ -119,16 +148,17 @@ def _loss_of(free: Float[Array, " p"], problem: Problem, i: int) -> Callable[[fl
 
 
 def _losses(
-    free: Float[Array, " p"], problem: Problem, i: int, values: Float[np.ndarray, " n"]
+    free: Float[Any, "n p"], problem: Problem, i: int, values: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """The loss at each of the values."""
-    points = np.stack([np.asarray(_with(free, problem, i, float(value))) for value in values])
-    return np.asarray(_losses_at(jnp.asarray(points), problem), np.float64)
+    """The loss at each of several points, with these values of one number."""
+    points = jnp.asarray(free).at[:, i].set(value_near(problem.parameters[i], values, free))
+    steps = sum(group.hips.shape[0] * group.hips.shape[1] for group in problem.groups)
+    return np.asarray(_losses_at(points, problem, max(1, min(_LANES, _AT_ONCE // steps))), np.float64)
 
 
-@jax.jit
-def _losses_at(points: Float[Array, "n p"], problem: Problem) -> Float[Array, " n"]:
-    return jax.lax.map(lambda free: loss_at(free, problem), points, batch_size=_LANES)
+@partial(jax.jit, static_argnums=2)
+def _losses_at(points: Float[Array, "n p"], problem: Problem, lanes: int) -> Float[Array, " n"]:
+    return jax.lax.map(lambda free: loss_at(free, problem), points, batch_size=lanes)
 
 
 def _with(free: Float[Array, " p"], problem: Problem, i: int, value: float) -> Float[Array, " p"]:

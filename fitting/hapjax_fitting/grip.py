@@ -1,5 +1,7 @@
 """What recordings say of a mu: whether anything slipped, and if not, how large mu is at least."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -118,12 +120,12 @@ def is_needed(bound: float, free: Float[Array, " p"], problem: Problem, i: int, 
     return grown > NOTICEABLE * variance
 
 
-def value_near(parameter: Parameter, value: float, like: Array) -> Array:
-    """The unconstrained number of a value, moved between the parameter's bounds where it is not."""
+def value_near(parameter: Parameter, value: Any, like: Any) -> Array:
+    """The unconstrained number of a value, or of several, moved between the parameter's bounds where it is not."""
     transform = parameter.transform
     if isinstance(transform, Logit):
         margin = 1e-3 * (transform.high - transform.low)
-        value = min(max(value, transform.low + margin), transform.high - margin)
+        value = np.clip(value, transform.low + margin, transform.high - margin)
     return transform.free(jnp.asarray(value, like.dtype))
 
 
