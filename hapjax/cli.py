@@ -86,6 +86,8 @@ def fit(
     starts: int = 8,
     spread: float = 2.0,
     seed: int = 0,
+    bounds: tuple[tuple[str, float, float], ...] = (),
+    prior: tuple[tuple[str, float, float], ...] = (),
     json: Path | None = None,
     report: Path | None = None,
     topic: tuple[str, ...] = (),
@@ -105,6 +107,9 @@ def fit(
         starts: Number of starts, 1 to 10000; the results of all are compared.
         spread: The other starts are off by random factors up to this, 1 or above.
         seed: Of the starts, 0 or above.
+        bounds: PATH LOW HIGH of free numbers that are to stay between bounds.
+        prior: PATH MEAN SD of free numbers of which something is known; of one above 0 the median, and the standard
+            deviation of its logarithm.
         json: File for the figures.
         report: Folder for the report, an HTML page.
         topic: Of ROS 2 bags: the topics of each channel, one a finger or object, such as hip=/left/tip,/right/tip
@@ -121,6 +126,8 @@ def fit(
         loaded = [load_recording(path, topics) for path in recordings]
         options: dict[str, Any] = {"observe": observe, "starts": starts, "spread": spread, "seed": seed}
         options |= {"progress": True, "names": [str(path) for path in recordings]}
+        options["bounds"] = {path: (low, high) for path, low, high in bounds}
+        options["priors"] = {path: (mean, deviation) for path, mean, deviation in prior}
         beside: dict[str, Any] = {}  # what is said beside the fit, by its name in the figures
         if compare:
             scenes, chosen = fitting.with_laws(load_scene(scene), compare, free)

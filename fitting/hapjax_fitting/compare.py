@@ -163,13 +163,13 @@ def _held_out(
     channels = (observe,) if isinstance(observe, str) else tuple(observe)
     quick = {k: v for k, v in options.items() if k not in ("names", "starts", "spread", "seed", "progress")}
     for kept, left in _parts(recordings, channels):
-        told = quick | {"noise": dict(result.noise), "starts": 1}
+        told = quick | {"noise": dict(result.noise), "starts": 1, "sensors": result.sensors}
         part = fit(result.scene, kept, free, **told)
         if part.interrupted:
             raise KeyboardInterrupt
         names = [f"held-out part {i + 1}" for i in range(len(left))]
-        groups = grouped(part.scene, left, channels, names, part.problem.parameters)
-        found = _residuals(part.free, replace(part.problem, groups=groups))
+        groups = grouped(part.scene, left, channels, names, part.problem.parameters, part.problem.sensors)
+        found = _residuals(part.free, replace(part.problem, groups=groups, priors=None))
         square, count = square + float(np.sum(np.asarray(found) ** 2)), count + found.size
     return float(np.sqrt(square / count)) if count else None
 

@@ -20,6 +20,7 @@ from .interrupt import stopping_at_interrupts
 from .noise import noise_of, spread_of
 from .observation import CHANNELS, LOST
 from .parameters import Parameter, Selector, free_parameters, paths_of, size_at
+from .priors import priors_of
 from .problem import NOTICEABLE, Problem, channels_of, grouped, stacked_residuals
 from .progress import following
 from .result import Estimate, FitResult
@@ -43,6 +44,7 @@ def fit(
     noise: Mapping[str, float] | None = None,
     sensors: Sensors | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
     starts: int = 8,
     spread: float = 2.0,
     seed: int = 0,
@@ -68,6 +70,8 @@ def fit(
     - `sensors`: how the recordings were measured, where that is known; free numbers of theirs (`sensor.force_bias` ...)
       start there, or where a perfect sensor has them.
     - `bounds`: (low, high) by path.
+    - `priors`: (mean, standard deviation) by path, of what is known beforehand. Of numbers above 0 the mean is the median,
+      and the deviation that of the logarithm; all others are Gaussian in their own unit.
     - `starts`, `spread`, `seed`: how many starts, with windows at most; all but the first off by random factors up to
       `spread`.
     - `max_steps`: solver steps for a start.
@@ -96,7 +100,8 @@ def fit(
             used, called = [recordings[i] for i in kept], [names[i] for i in kept]
             groups = grouped(scene, used, channels, called, parameters, sensors)
             size = noise_of(used, noise, scene.integrator.dt.dtype)
-            problem = Problem(scene, groups, size, parameters, sensors)
+            known = priors_of(priors, parameters, scene.integrator.dt.dtype)
+            problem = Problem(scene, groups, size, parameters, sensors, known)
             _check_count(problem)
             try:
                 ends = _searches(problem, used, starts, spread, seed, max_steps)
@@ -189,14 +194,16 @@ def _result(
     free = ends.free[best]
     setup = problem.setup_at(free)
     channels, matrix = channels_of(ends.residuals, problem), ends.jacobian
-    size, variance = spread_of(channels, given_noise, len(free))
-    cost, chance = cost_of_grip(free, problem), NOTICEABLE * float(np.mean(variance))
+    size, variance = spread_of(channels, given_noise, problem.fitted())
+    typical = float(np.mean(variance))
+    variance = np.concatenate([variance, np.ones(problem.known())])  # priors are believed
+    cost, chance = cost_of_grip(free, problem), NOTICEABLE * typical
     widest = np.array([p.transform.widest for p in problem.parameters])
     known = certainty(np.asarray(matrix), variance, widest, cost > chance)
     explained = max(size.values()) < _EXPLAINED  # in units of the noise
     jumping = [is_static(problem, i) and cost[i] > chance for i in range(len(free))]
     estimates = {
-        p.name: _breakaway(problem, free, i, float(np.mean(variance)))
+        p.name: _breakaway(problem, free, i, typical)
         if jumping[i]
         else _estimate(p, free[i], known, i)
         if known.identified[i]
@@ -340,7 +347,7 @@ def _check_numbers(starts: Any, spread: Any, seed: Any, max_steps: Any) -> None:
 
 def _check_count(problem: Problem) -> None:
     measured = problem.measured()
-    if measured <= len(problem.parameters):
+    if measured + problem.known() <= len(problem.parameters):
         raise InputError(
             f"free has {len(problem.parameters)} numbers, and the recordings {measured} to fit them to; "
             "allowed: fewer free numbers than measured ones"

@@ -15,6 +15,7 @@ from hapjax import Recording, Scene
 
 from .observation import PERFECT, Noise, Observation, observation_of, residuals
 from .parameters import Parameter, moves_surface, values_of, with_values
+from .priors import Priors
 from .sensors import Sensors, Setup
 from .solve import half_square
 from .spells import spells_of
@@ -32,6 +33,7 @@ class Problem(eqx.Module):
     noise: Noise
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
     sensors: Sensors = eqx.field(default_factory=Sensors)
+    priors: Priors | None = None
 
     def scene_at(self, free: Float[Array, " p"]) -> Scene:
         """The scene with the free numbers put in."""
@@ -41,6 +43,14 @@ class Problem(eqx.Module):
         """The scene and the sensors with the free numbers put in."""
         values = jnp.stack([p.transform.value(x) for p, x in zip(self.parameters, free, strict=True)])
         return with_values(Setup(self.scene, self.sensors), self.parameters, values)
+
+    def known(self) -> int:
+        """Of how many numbers something is known beforehand."""
+        return 0 if self.priors is None else len(self.priors.places)
+
+    def fitted(self) -> int:
+        """How many of the free numbers were fitted to the recordings alone."""
+        return max(0, len(self.parameters) - self.known())
 
     def measured(self) -> int:
         """How many numbers were measured: a pose is seven, of which six are free."""
@@ -80,8 +90,11 @@ def grouped(
 
 
 def stacked_residuals(free: Float[Array, " p"], problem: Problem) -> Float[Array, " n"]:
-    """All whitened residuals in one vector."""
-    return jnp.concatenate([r.ravel() for _, r in by_channel(free, problem)])
+    """All whitened residuals in one vector; those of priors come last."""
+    found = [r.ravel() for _, r in by_channel(free, problem)]
+    if problem.priors is not None:
+        found.append(problem.priors.residuals(problem.parameters, free))
+    return jnp.concatenate(found)
 
 
 def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Float[Array, "_ _ _"]]]:
@@ -96,7 +109,7 @@ def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Fl
 
 
 def channels_of(stacked: Float[Any, " n"], problem: Problem) -> list[tuple[str, Float[np.ndarray, "_ _ _"]]]:
-    """The residuals in one vector, taken apart again as `by_channel` has them."""
+    """The residuals in one vector, taken apart again as `by_channel` has them; without those of priors."""
     found, begin = [], 0
     stacked = np.asarray(stacked)
     for group in problem.groups:

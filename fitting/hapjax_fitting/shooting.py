@@ -192,5 +192,5 @@ def _better_of(one: np.ndarray, other: np.ndarray, problem: Problem) -> np.ndarr
 
 def _is_explained(free: np.ndarray, problem: Problem, single: Problem) -> bool:
     found = _residuals(free[None], single)[0]
-    size, _ = spread_of(channels_of(found, problem), None, len(free))
+    size, _ = spread_of(channels_of(found, problem), None, problem.fitted())
     return max(size.values()) < EXPLAINED
