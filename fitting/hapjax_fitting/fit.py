@@ -16,6 +16,7 @@ from hapjax import InputError, Recording, Scene, cast
 from .breakaway import broken_away, is_static, posterior
 from .findings import findings_of
 from .grip import cost_of_grip, holding_instead, is_needed, largest_ratio, raised, slipping_instead
+from .identifiability import identifiability
 from .interrupt import stopping_at_interrupts
 from .noise import noise_of, spread_of
 from .observation import CHANNELS, LOST
@@ -210,6 +211,7 @@ def _result(
         else _not_identified(problem, free, known, i, float(cost[i]), chance, explained)
         for i, p in enumerate(problem.parameters)
     }
+    fisher = information(np.asarray(matrix), variance)
     units = {name: float(getattr(problem.noise, name)) for name in size}
     rms = {key: size[key] * units[key] for key in size}
     near = int(np.sum(np.asarray(ends.loss) <= float(ends.loss[best]) + chance / 2))
@@ -239,9 +241,16 @@ def _result(
         lost=lost,
         problem=problem,
         free=np.asarray(free),
-        information=information(np.asarray(matrix), variance),
+        information=fisher,
+        identifiability=identifiability(
+            fisher, problem.parameters, estimates, (cost > chance) & ~np.array(jumping), _seconds(recordings)
+        ),
         measured={key: sum(r.size for name, r in channels if name == key) for key in size},
     )
+
+
+def _seconds(recordings: Sequence[Recording]) -> float:
+    return sum(float(r.hip_t[-1] - r.hip_t[0]) for r in recordings if r.hip_t is not None)
 
 
 def _why_not(tolerant: bool, size: float, near: int, starts: int) -> str | None:

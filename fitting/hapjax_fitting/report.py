@@ -164,6 +164,8 @@ def _warnings(result: FitResult) -> list[str]:
             f"The residuals are larger than the noise ({times}): the model as fitted does not explain the "
             "recordings, and the parameters may err by more than their intervals."
         )
+    if not all(estimate.identified for estimate in result.parameters.values()):
+        found.extend(result.identifiability)
     return found
 
 

@@ -45,7 +45,8 @@ class FitResult:
     standard deviations that the residuals were divided by: `force` N, `position` m, `angle` rad; `trace`:
     each start's loss by step; `lost`, in how many recordings the model left the range of sense: they were dropped, and the
     fit is that of the others, which `recordings` holds; `findings`, what is odd about the recordings; `interrupted`: Ctrl-C
-    ended the search, and these are the best numbers so far; `measured`, how many numbers of each channel were compared.
+    ended the search, and these are the best numbers so far; `measured`, how many numbers of each channel were compared;
+    `identifiability`, which combinations of the numbers the recordings fix, in sentences.
     For what goes on from here: `problem`, what was solved; `free` (p,), the transformed numbers at the best; `information`
     (p, p) of them, J'V^-1 J, Fisher's for the variances V that the residuals turned out to have.
     """
@@ -73,6 +74,7 @@ class FitResult:
     free: np.ndarray = field(repr=False, compare=False, kw_only=True)
     information: np.ndarray = field(repr=False, compare=False, kw_only=True)
     measured: Mapping[str, int] = field(default_factory=dict)
+    identifiability: tuple[str, ...] = ()
 
     @property
     def correlation(self) -> np.ndarray:
@@ -100,6 +102,7 @@ class FitResult:
             "starts_at_best": self.starts_at_best,
             "wall_s": self.wall_s,
             "lost": self.lost,
+            "identifiability": list(self.identifiability),
             "findings": [asdict(finding) for finding in self.findings],
         }
         return _finite(figures)

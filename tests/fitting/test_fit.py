@@ -289,6 +289,8 @@ def test_a_product_alone_does_not_identify_its_factors():
     for name, other in (free, free[::-1]):
         assert not result.parameters[name].identified
         assert result.parameters[name].reason == f"not to be told apart from {other}"
+    sentence = f"In these 0.299 s they fix {free[0]} and {free[1]} only through their ratio."
+    assert result.identifiability == (sentence,)
 
 
 def test_scenes_of_either_precision_are_fitted(dtype):
@@ -321,6 +323,10 @@ def test_json_is_strict_and_has_the_agreed_keys(tmp_path):
     mu, stiffness = (read["parameters"][name] for name in BOTH)
     assert set(mu) >= {"estimate", "standard_error", "interval95", "identified"}
     assert mu["estimate"] is None and mu["interval95"][1] is None and mu["identified"] is False
+    assert read["identifiability"] == [
+        f"The data fix {STIFFNESS}.",
+        f"They do not fix {MU}: nothing slipped.",
+    ]
     low, high = stiffness["interval95"]
     assert low < stiffness["estimate"] < high and stiffness["identified"] is True
 

@@ -58,6 +58,7 @@ def test_a_lower_bound_is_said_in_words():
     p = result(length=2e-4).parameters[MU]
     text = printed(table(result(length=2e-4)))
     assert f"at least {p.interval95[0]:.3g}: nothing slipped" in text
+    assert f"The data fix {STIFFNESS}." in text and "The data fix" not in printed(table(result()))
 
 
 def test_residuals_beyond_the_noise_are_warned_of():
