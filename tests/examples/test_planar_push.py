@@ -141,6 +141,34 @@ def test_real_pushes_agree_with_the_pull_test(data_dir, tmp_path, capsys):
     assert f"{together['estimate']:.4f}" in capsys.readouterr().out
 
 
+def test_finds_how_far_out_the_feet_of_the_independent_simulator_stand(tmp_path):
+    arm = LOADS @ np.linalg.norm(FEET, axis=1) / LOADS.sum()
+    misplaced = recorded(0.3, seed=3) | {"support_points": 0.5 * FEET}
+    for given in (recorded(0.3, seed=3), misplaced):
+        loaded, _ = pushes.load(save(tmp_path, given), 1e5)
+        found = planar_push.fit((loaded,), "synthetic", with_arm=True)
+        assert found.starts_at_best == found.starts
+        assert found.estimate == pytest.approx(0.3, rel=0.08)
+        assert found.arm.estimate == pytest.approx(arm, rel=0.08)
+        assert found.arm.interval95[0] < found.arm.estimate < found.arm.interval95[1]
+
+
+@pytest.mark.slow
+@pytest.mark.needs_data
+@pytest.mark.parametrize(
+    ("layout", "arm"), [("10_130_10_10_10_130", 78.5e-3), ("10_90_10_10_30_130", 58.9e-3)]
+)
+def test_real_pushes_tell_the_torsional_arm_together_with_mu(layout, arm, data_dir, tmp_path, capsys):
+    file = data_dir / "planar_push" / f"hardboard__{layout}.npz"
+    if not file.exists():
+        pytest.skip(f"the recorded pushes are absent: no file {file}")
+    assert planar_push.main([str(file), "--arm", "--json", str(tmp_path / "mu.json")]) == 0
+    figures = json.loads((tmp_path / "mu.json").read_text())["all"]
+    assert figures["arm"]["estimate"] == pytest.approx(arm, rel=0.15)
+    assert figures["estimate"] == pytest.approx(PULL_TEST, rel=0.12)
+    assert f"{1e3 * figures['arm']['estimate']:.1f}" in capsys.readouterr().out
+
+
 def test_a_push_without_contact_is_left_out_and_said(tmp_path, capsys):
     path = save(tmp_path, without(recorded(0.3, seed=100, count=4), push=2))
     assert planar_push.main([str(path), "--json", str(tmp_path / "mu.json")]) == 0
