@@ -92,6 +92,7 @@ def fit(
     report: Path | None = None,
     topic: tuple[str, ...] = (),
     compare: tuple[str, ...] = (),
+    profile: tuple[str, ...] = (),
 ) -> int:
     """Find numbers of a scene from recordings, with 95 % intervals.
 
@@ -116,6 +117,7 @@ def fit(
             force=/left/sensor,/right/sensor pose=/cube.
         compare: Friction laws to put in the place of that of each surface whose mu is free, of cone viscous stribeck karnopp
             dahl lugre; what is reported is the fit with the lowest BIC.
+        profile: Names of free numbers whose profile likelihood is to be walked: intervals that need not be symmetric.
     """
     fitting, topics = need("hapjax_fitting", "fitting"), parsed(topic)
     with jax.enable_x64(True):
@@ -128,28 +130,34 @@ def fit(
         options |= {"progress": True, "names": [str(path) for path in recordings]}
         options["bounds"] = {path: (low, high) for path, low, high in bounds}
         options["priors"] = {path: (mean, deviation) for path, mean, deviation in prior}
-        beside: dict[str, Any] = {}  # what is said beside the fit, by its name in the figures
+        said: list[Any] = []  # beside the fit
+        figures: dict[str, Any] = {}
         if compare:
             scenes, chosen = fitting.with_laws(load_scene(scene), compare, free)
-            beside["comparison"] = compared = fitting.compare(scenes, loaded, chosen, **options)
+            compared = fitting.compare(scenes, loaded, chosen, **options)
+            said, figures["comparison"] = [compared], compared.to_dict()
             result = compared.models[compared.best["bic"]].result
         else:
             result = fitting.fit(load_scene(scene), loaded, free, **options)
-        sections = [part.section() for part in beside.values()]
-        for section in sections:
-            Console().print(section.table())
         Console().print(fitting.table(result))
         for finding in result.findings:
             print(f"finding: {finding}")
+        if profile and not result.interrupted:
+            profiles = {name: fitting.profile(result, name) for name in profile}
+            said += profiles.values()
+            figures["profiles"] = {name: found.to_dict() for name, found in profiles.items()}
+        sections = [part.section() for part in said]
+        for section in sections:
+            Console().print(section.table())
         if json is not None:
-            result.save_json(json, {name: part.to_dict() for name, part in beside.items()})
+            result.save_json(json, figures)
         if report is not None:
             print(f"report: {fitting.write_report(result, report, sections=sections)}")
     return 130 if result.interrupted else 0
 
 
 def benchmark(
-    kind: Positional[Literal["latency", "scene", "stability", "error", "gradient", "batch"]],
+    kind: Positional[Literal["latency", "scene", "stability", "error", "gradient", "batch", "fit"]],
     scene: Path | None = None,
     fingers: int = 3,
     seconds: float = 5.0,
@@ -170,22 +178,24 @@ def benchmark(
     and of the scene with each part switched off in turn. stability: where each integrator settles, rings or blows up, and
     how stiff a wall a device can press on. error: error against run time of each integrator, beside MuJoCo's, on cases
     with a known truth. gradient: time and memory of gradients beside the forward pass. batch: steps a second of batches of
-    rollouts, and how far a held object creeps, beside MuJoCo's. Example: hapjax benchmark latency --json latency.json
+    rollouts, and how far a held object creeps, beside MuJoCo's. fit: errors of estimates beside the least
+    possible, how often 95 % intervals hold the truth, how long fits take. Example: hapjax benchmark latency --json l.json
 
     Args:
         kind: Which measurement.
-        scene: Scene file (TOML); absent: the demo's, and of stability, error and gradient the built-in cases. Not of batch.
+        scene: Scene file (TOML); absent: the demo's, and of stability, error and gradient the built-in cases. Not of batch
+            and fit.
         fingers: Number of fingers, 1 to 100.
         seconds: How long the servo loop of latency runs, above 0 to 3600 s.
         integrators: Of stability and error: names as in scene files; none: all.
         maps: Of stability: stiffness mass mass_ratio mu penetration spin inertia loop; none: all.
         rate: Of stability and error: Hz at which --scene is to run, 10 to 100000.
-        quick: Of stability: a coarse grid. Of error: fewer time steps, each run once, no gradients.
+        quick: Of stability: a coarse grid. Of error: fewer time steps, each run once, no gradients. Of fit: a fiftieth.
         cases: Of error: names of built-in cases; none: all.
         hip: Of error with --scene: recording (.npz, .csv) whose channel hip the fingers follow; absent: a virtual
             operator grips and lifts the first object that moves.
         error: Of error with --scene: m that the recommended integrator may be off at the end, above 0.
-        out: Of stability and error: folder for the page, the pictures and the CSV files.
+        out: Of stability and error: folder for the page, the pictures and the CSV files. Of fit: for all estimates as CSV.
         json: File for the figures.
     """
     from .benchmark import batch, gradient, latency, stability
@@ -206,6 +216,8 @@ def benchmark(
         gradient.report(loaded, fingers, json)
     elif kind == "batch":
         batch.report(loaded, fingers, json)
+    elif kind == "fit":
+        need("hapjax_fitting.benchmark.report", "fitting").report(loaded, quick, out, json)
     else:
         parts.report(loaded, fingers, json)
 

@@ -5,6 +5,8 @@ from .compare import Model as Model
 from .compare import compare as compare
 from .fit import fit as fit
 from .laws import with_laws as with_laws
+from .profile import Profile as Profile
+from .profile import profile as profile
 from .report import table as table
 from .report import write_report as write_report
 from .result import Estimate as Estimate

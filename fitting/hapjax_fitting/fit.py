@@ -242,6 +242,7 @@ def _result(
         problem=problem,
         free=np.asarray(free),
         information=fisher,
+        variance=typical,
         identifiability=identifiability(
             fisher, problem.parameters, estimates, (cost > chance) & ~np.array(jumping), _seconds(recordings)
         ),

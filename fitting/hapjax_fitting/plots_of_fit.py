@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .canvas import BLUE, RED, WIDTH, Image, dress, finish, rows
+from .canvas import BLUE, GREY, RED, WIDTH, Image, dress, finish, rows
+from .profile import CHI95, CHI99, Profile
 from .result import Estimate, FitResult
 
 
@@ -74,6 +75,27 @@ def _costs(result: FitResult) -> Image:
     dress(axes, x="step of the solver", y="loss (1)")
     _once(axes)
     return finish(figure, axes, f"Cost of each of {len(result.trace)} starts by the solver's steps")
+
+
+def of_profile(profile: Profile) -> Image:
+    """The deviance over the number, with the thresholds of its intervals."""
+    figure, grid = rows(1, 3.2)
+    axes = grid[0, 0]
+    axes.plot(profile.values, profile.deviance, color=BLUE, marker=".", label="others fitted anew")
+    for level, style in ((CHI95, "--"), (CHI99, ":")):
+        axes.axhline(level, color=GREY, ls=style, lw=1, label="95 %" if level == CHI95 else "99 %")
+    low, high = profile.local95
+    if low is not None and high is not None:
+        axes.axvspan(low, high, color=BLUE, alpha=0.12, lw=0, label="95 % by the covariance")
+    axes.axvline(profile.estimate, color=GREY, lw=1)
+    axes.set_ylim(-0.3, 3 * CHI99)
+    near = profile.values[profile.deviance < 3 * CHI99]
+    if profile.values[-1] > 20 * max(profile.estimate, profile.values[0]) > 0:
+        axes.set_xscale("log")
+    elif len(near) > 2:
+        axes.set_xlim(near[0], near[-1])
+    dress(axes, x=profile.name, y="deviance (1)")
+    return finish(figure, axes, f"Profile likelihood of {profile.name}")
 
 
 def _once(axes) -> None:

@@ -178,12 +178,12 @@ def _headings(truth: Mapping[str, float] | None, interval99: bool) -> list[str]:
 def _cells(name: str, estimate: Estimate, truth: Mapping[str, float] | None, interval99: bool) -> list[str]:
     """A row: the numbers to so many digits that the standard error has two."""
     error = estimate.standard_error
-    truths = [] if truth is None else ["" if name not in truth else _digits(truth[name], error)]
+    truths = [] if truth is None else ["" if name not in truth else digits(truth[name], error)]
     if estimate.estimate is None or error is None:
         return [name, *truths, "", "", "", f"no: {in_words(estimate)}"]
     interval = estimate.interval99 if interval99 and estimate.interval99 else estimate.interval95
-    ends = " to ".join(_digits(end, error) for end in interval if end is not None)
-    return [name, *truths, _digits(estimate.estimate, error), f"{error:.2g}", ends, "yes"]
+    ends = " to ".join(digits(end, error) for end in interval if end is not None)
+    return [name, *truths, digits(estimate.estimate, error), f"{error:.2g}", ends, "yes"]
 
 
 def in_words(estimate: Estimate) -> str:
@@ -193,7 +193,8 @@ def in_words(estimate: Estimate) -> str:
     return reason if low is None else f"at least {low:.3g}: {reason}"
 
 
-def _digits(value: float, error: float | None) -> str:
+def digits(value: float, error: float | None) -> str:
+    """A number to so many digits that its standard error has two."""
     if not error or not value:
         return f"{value:.6g}"
     digits = int(np.floor(np.log10(abs(value))) - np.floor(np.log10(error))) + 2

@@ -48,7 +48,7 @@ class FitResult:
     ended the search, and these are the best numbers so far; `measured`, how many numbers of each channel were compared;
     `identifiability`, which combinations of the numbers the recordings fix, in sentences.
     For what goes on from here: `problem`, what was solved; `free` (p,), the transformed numbers at the best; `information`
-    (p, p) of them, J'V^-1 J, Fisher's for the variances V that the residuals turned out to have.
+    (p, p) of them, J'V^-1 J, Fisher's for the variances V that the residuals turned out to have; `variance`, their mean.
     """
 
     parameters: Mapping[str, Estimate]
@@ -73,6 +73,7 @@ class FitResult:
     problem: Problem = field(repr=False, compare=False, kw_only=True)
     free: np.ndarray = field(repr=False, compare=False, kw_only=True)
     information: np.ndarray = field(repr=False, compare=False, kw_only=True)
+    variance: float = 1.0
     measured: Mapping[str, int] = field(default_factory=dict)
     identifiability: tuple[str, ...] = ()
 
