@@ -12,6 +12,8 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
+_ROUNDING = 10  # times the rounding error of one number: that of a sum of squares
+
 Residuals = Callable[[Float[Array, " p"], Any], Float[Array, " n"]]
 
 
@@ -171,6 +173,23 @@ def so_far(residuals: Residuals, args: Any, trace: Trace) -> Solutions:
     return Solutions(free, loss, jnp.zeros(len(loss), bool), steps, at_best, matrix)
 
 
+class _Search(optx.ClassicalTrustRegion):
+    """Which steps are taken: also one too small for rounding to tell whether it makes the loss smaller.
+
+    Refused, such a step would be tried again, smaller and smaller, until chance takes it.
+    """
+
+    def step(self, first_step, y, y_eval, f_info, f_eval_info, state):
+        """The new step size, whether the step is taken, and what is remembered."""
+        size, accept, result, after = super().step(first_step, y, y_eval, f_info, f_eval_info, state)
+        loss = f_info.as_min()
+        rounding = _ROUNDING * jnp.finfo(loss.dtype).eps * loss
+        expected = self.predict_reduction(y_eval - y, f_info)
+        level = (jnp.abs(expected) < rounding) & (jnp.abs(f_eval_info.as_min() - loss) < rounding)
+        size = jnp.where(level & ~accept, state.step_size, size)
+        return size, accept | level, result, eqx.tree_at(lambda s: s.step_size, after, size)
+
+
 @eqx.filter_jit
 def _solve(residuals: Residuals, starts, places, totals, args, rtol, atol, max_steps: int) -> Solutions:
     told = _told_whole(residuals)
@@ -182,6 +201,7 @@ def _solve(residuals: Residuals, starts, places, totals, args, rtol, atol, max_s
         # Levenberg-Marquardt begins with a damping of 1: right for a problem of about that size.
         scale = jax.lax.rsqrt(jnp.maximum(total, jnp.finfo(start.dtype).tiny))
         solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol, verbose=tell)
+        solver = eqx.tree_at(lambda s: s.search, solver, _Search())
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
             solution = optx.least_squares(
                 lambda x, _: scale * told(x, args),
