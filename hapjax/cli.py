@@ -88,6 +88,7 @@ def fit(
     seed: int = 0,
     bounds: tuple[tuple[str, float, float], ...] = (),
     prior: tuple[tuple[str, float, float], ...] = (),
+    each: tuple[str, ...] = (),
     json: Path | None = None,
     report: Path | None = None,
     topic: tuple[str, ...] = (),
@@ -111,6 +112,7 @@ def fit(
         bounds: PATH LOW HIGH of free numbers that are to stay between bounds.
         prior: PATH MEAN SD of free numbers of which something is known; of one above 0 the median, and the standard
             deviation of its logarithm.
+        each: Of the free paths those that have a number of their own for each recording.
         json: File for the figures.
         report: Folder for the report, an HTML page.
         topic: Of ROS 2 bags: the topics of each channel, one a finger or object, such as hip=/left/tip,/right/tip
@@ -129,6 +131,7 @@ def fit(
         options: dict[str, Any] = {"observe": observe, "starts": starts, "spread": spread, "seed": seed}
         options |= {"progress": True, "names": [str(path) for path in recordings]}
         options["bounds"] = {path: (low, high) for path, low, high in bounds}
+        options["each"] = each
         options["priors"] = {path: (mean, deviation) for path, mean, deviation in prior}
         said: list[Any] = []  # beside the fit
         figures: dict[str, Any] = {}

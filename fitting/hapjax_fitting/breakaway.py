@@ -138,7 +138,9 @@ def _edge(loss: Callable[[float], float], most: float, inside: float, outside: f
 def _range(free: Float[Array, " p"], problem: Problem, i: int) -> tuple[float, float]:
     """From the kinetic mu, below which it cannot be, to where nothing breaks away."""
     parameter = problem.parameters[i]
-    kinetic = find_leaf(problem.scene_at(free), parameter.path.removesuffix("mu_static") + "mu_kinetic")
+    kinetic = find_leaf(
+        problem.scene_at(free, parameter.place or 0), parameter.path.removesuffix("mu_static") + "mu_kinetic"
+    )
     low = float(kinetic if parameter.index is None else kinetic[parameter.index])
     return low, 1.02 * largest_ratio(raised(free, parameter, i), problem, parameter)
 

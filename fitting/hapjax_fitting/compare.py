@@ -158,6 +158,8 @@ def _held_out(
     result: FitResult, recordings: Sequence[Recording], free: Selector, options: Mapping[str, Any]
 ) -> float | None:
     """The root mean square, over the noise, of residuals of what each of several fits was not fitted to."""
+    if options.get("each"):
+        return None  # of what was held out, its own numbers are not known
     square, count = 0.0, 0
     observe = options.get("observe", ("force", "pose"))
     channels = (observe,) if isinstance(observe, str) else tuple(observe)

@@ -46,6 +46,7 @@ def fit(
     sensors: Sensors | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     priors: Mapping[str, tuple[float, float]] | None = None,
+    each: str | Sequence[str] = (),
     starts: int = 8,
     spread: float = 2.0,
     seed: int = 0,
@@ -73,6 +74,8 @@ def fit(
     - `bounds`: (low, high) by path.
     - `priors`: (mean, standard deviation) by path, of what is known beforehand. Of numbers above 0 the mean is the median,
       and the deviation that of the logarithm; all others are Gaussian in their own unit.
+    - `each`: of the free paths those that have a number of their own for every recording, named `path @ recording`; the
+      others are shared.
     - `starts`, `spread`, `seed`: how many starts, with windows at most; all but the first off by random factors up to
       `spread`.
     - `max_steps`: solver steps for a start.
@@ -92,13 +95,14 @@ def fit(
     _check_numbers(starts, spread, seed, max_steps)
     scene = cast(scene, jnp.result_type(float))
     sensors = explicit(sensors or Sensors(), paths_of(scene, free), scene.integrator.dt.dtype)
-    parameters = free_parameters(Setup(scene, sensors), free, bounds)
+    apart = (each,) if isinstance(each, str) else tuple(each)
     kept, trace = list(range(len(recordings))), Trace()
     showing = following(trace, max_steps) if progress else listen(trace)
     with stopping_at_interrupts(trace), showing:
         while True:
             trace.best.clear()
             used, called = [recordings[i] for i in kept], [names[i] for i in kept]
+            parameters = free_parameters(Setup(scene, sensors), free, bounds, apart, called)
             groups = grouped(scene, used, channels, called, parameters, sensors)
             size = noise_of(used, noise, scene.integrator.dt.dtype)
             known = priors_of(priors, parameters, scene.integrator.dt.dtype)
@@ -204,7 +208,7 @@ def _result(
     explained = max(size.values()) < _EXPLAINED  # in units of the noise
     jumping = [is_static(problem, i) and cost[i] > chance for i in range(len(free))]
     estimates = {
-        p.name: _breakaway(problem, free, i, typical)
+        p.name: _breakaway(problem, free, i, typical, known.covariance)
         if jumping[i]
         else _estimate(p, free[i], known, i)
         if known.identified[i]
@@ -282,9 +286,9 @@ def _estimate(parameter: Parameter, free: Array, known: Certainty, i: int) -> Es
     )
 
 
-def _breakaway(problem: Problem, free: Array, i: int, variance: float) -> Estimate:
+def _breakaway(problem: Problem, free: Array, i: int, variance: float, covariance: np.ndarray) -> Estimate:
     """A mu_static, by its likelihood instead of by gradients: the mean and the middle of what it leaves."""
-    likely = posterior(free, problem, i, variance)
+    likely = posterior(free, problem, i, variance, covariance)
     return Estimate(
         likely.mean(), likely.deviation(), likely.central(0.95), True, interval99=likely.central(0.99)
     )

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from hapjax import Scene, rotation, safe
 
-from .observation import played
+from .observation import Observation, played
 from .parameters import Parameter
 from .problem import NOTICEABLE, Problem, loss_at
 from .transform import Logit
@@ -113,7 +113,8 @@ def is_needed(bound: float, free: Float[Array, " p"], problem: Problem, i: int, 
     kinetic = problem.parameters[i].path.replace("mu_static", "mu_kinetic")
     less = free
     for j, parameter in enumerate(problem.parameters):
-        if j == i or (parameter.path == kinetic and parameter.index == problem.parameters[i].index):
+        own = (parameter.index, parameter.place) == (problem.parameters[i].index, problem.parameters[i].place)
+        if j == i or (parameter.path == kinetic and own):
             less = less.at[j].set(value_near(parameter, bound / 10, free))
     enough = free.at[i].set(value_near(problem.parameters[i], 1.02 * bound, free))
     grown = 2 * (float(loss_at(less, problem)) - float(loss_at(enough, problem)))
@@ -136,15 +137,33 @@ def largest_ratio(free: Float[Array, " p"], problem: Problem, parameter: Paramet
     Of a mu of one face, only touches on that face count. Touches of less than a thousandth of the firmest
     one are left out: their ratio is a quotient of rounding errors.
     """
-    largest, setup = 0.0, problem.setup_at(free)
+    largest = 0.0
     for group in problem.groups:
-        grip = grips(setup.scene, setup.sensor.turned(group.hips), group.gimbals)[_part(parameter)]
-        normal, tangential = np.asarray(grip.normal_force), np.asarray(grip.friction_force)
+        own = np.asarray(group.place) == parameter.place
+        if parameter.place is None:
+            own[:] = True
+        if not own.any():
+            continue
+        grip = _grips_in(free, problem, group)[_part(parameter)]
+        normal, tangential = np.asarray(grip.normal_force)[own], np.asarray(grip.friction_force)[own]
         firm = normal > 1e-3 * normal.max(initial=0)
         if parameter.index is not None:
-            firm &= np.asarray(grip.face) == parameter.index
+            firm &= np.asarray(grip.face)[own] == parameter.index
         largest = max(largest, float(np.max(tangential[firm] / normal[firm], initial=0)))
     return largest
+
+
+def _grips_in(free: Float[Array, " p"], problem: Problem, group: Observation) -> dict[str, Grip]:
+    """The grip in each of a group's recordings."""
+    if not problem.apart:
+        setup = problem.setup_at(free)
+        return grips(setup.scene, setup.sensor.turned(group.hips), group.gimbals)
+    found = []
+    for i, place in enumerate(np.asarray(group.place).tolist()):
+        setup, gimbals = problem.setup_at(free, place), group.gimbals
+        own = None if gimbals is None else gimbals[i][None]
+        found.append(grips(setup.scene, setup.sensor.turned(group.hips[i])[None], own))
+    return jax.tree.map(lambda *x: jnp.concatenate(x), *found)
 
 
 @jax.jit

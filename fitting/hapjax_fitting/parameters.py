@@ -30,17 +30,28 @@ _NOT_PHYSICAL = ("integrator",)
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """One free number: its path, its place in the leaf (`None`: the leaf is one number), and its
-    transform."""
+    """One free number: its path, its index in the leaf (`None`: the leaf is one number), and its transform; and which
+    recording it is of, by its place and name (`None`: it is shared by all)."""
 
     path: str
     index: int | None
     transform: Transform
+    place: int | None = None
+    recording: str | None = None
+
+    @property
+    def stem(self) -> str:
+        """The path, with the index in brackets where the leaf has several numbers."""
+        return self.path if self.index is None else f"{self.path}[{self.index}]"
 
     @property
     def name(self) -> str:
-        """The path, with the place in brackets where the leaf has several numbers."""
-        return self.path if self.index is None else f"{self.path}[{self.index}]"
+        """The stem, with the recording where it is of one: `path @ recording`."""
+        return self.stem if self.recording is None else f"{self.stem} @ {self.recording}"
+
+    def answers_to(self, name: str) -> bool:
+        """Whether the name is its own, or that of what it is a part of."""
+        return name in (self.name, self.stem, self.path)
 
 
 def size_at(parameter: Parameter, free: float, least: float = _SMALL) -> float:
@@ -80,27 +91,59 @@ def _walk(scene: Root, path: str) -> Any:
 
 
 def free_parameters(
-    scene: Root, free: Selector, bounds: Mapping[str, tuple[float, float]] | None = None
+    scene: Root,
+    free: Selector,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    each: Sequence[str] = (),
+    recordings: Sequence[str] = (),
 ) -> tuple[Parameter, ...]:
     """The free numbers that paths, or a function from the scene to its leaves, select, in their order.
 
-    A number with `bounds` is fitted through a scaled logit, others through the logarithm, positions and
-    directions as they are. **Raises:** `InputError` for unknown paths, repeated ones, the integrator's numbers, and
-    starting values outside their transform.
+    A number with `bounds` is fitted through a scaled logit, others through the logarithm, positions and directions as
+    they are. What `each` names has a number for each of the `recordings`. **Raises:** `InputError` for unknown paths,
+    repeated ones, the integrator's numbers, and starting values outside their transform.
     """
     parameters: list[Parameter] = []
     for given in paths_of(scene, free):
         parameters += _expand(scene, given, bounds or {})
+    parameters = _for_each(parameters, each, recordings, bounds or {})
     names = [p.name for p in parameters]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"free names {name} twice; allowed: each parameter once")
     for name in bounds or {}:
-        if not any(name in (p.name, p.path) for p in parameters):
+        if not any(p.answers_to(name) for p in parameters):
             raise InputError(f"bounds names {name}, which is not free; allowed: {', '.join(names)}")
     for parameter, value in zip(parameters, values_of(scene, tuple(parameters)), strict=True):
         parameter.transform.check(parameter.name, float(value))
     return tuple(parameters)
+
+
+def _for_each(
+    parameters: list[Parameter],
+    each: Sequence[str],
+    recordings: Sequence[str],
+    bounds: Mapping[str, tuple[float, float]],
+) -> list[Parameter]:
+    for name in each:
+        if not any(p.answers_to(name) for p in parameters):
+            allowed = ", ".join(p.name for p in parameters)
+            raise InputError(f"each names {name}, which is not free; allowed: {allowed}")
+    for name in recordings if each else ():
+        if list(recordings).count(name) > 1:
+            raise InputError(
+                f"names has {name} twice; allowed with each: a name of its own for each recording"
+            )
+    found = []
+    for parameter in parameters:
+        if not any(parameter.answers_to(name) for name in each):
+            found.append(parameter)
+            continue
+        for place, recording in enumerate(recordings):
+            own = dataclasses.replace(parameter, place=place, recording=recording)
+            transform = _transform(own.path, own.index, bounds, own.name)
+            found.append(dataclasses.replace(own, transform=transform))
+    return found
 
 
 def paths_of(scene: Root, free: Selector) -> list[str]:
@@ -150,8 +193,10 @@ def _names(path: str, shape: tuple[int, ...]) -> str:
     return f"{path}[0] to [{shape[0] - 1}]" if shape else path
 
 
-def _transform(path: str, index: int | None, bounds: Mapping[str, tuple[float, float]]) -> Transform:
-    limits = bounds.get(f"{path}[{index}]", bounds.get(path))
+def _transform(
+    path: str, index: int | None, bounds: Mapping[str, tuple[float, float]], name: str = ""
+) -> Transform:
+    limits = bounds.get(name, bounds.get(f"{path}[{index}]", bounds.get(path)))
     if limits is not None:
         try:
             low, high = (float(x) for x in limits)

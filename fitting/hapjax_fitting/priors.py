@@ -39,7 +39,7 @@ def priors_of(
     that no prior has."""
     known: dict[int, tuple[float, float]] = {}
     for path, numbers in (given or {}).items():
-        places = [i for i, p in enumerate(parameters) if path in (p.name, p.path)]
+        places = [i for i, p in enumerate(parameters) if p.answers_to(path)]
         if not places:
             names = ", ".join(p.name for p in parameters)
             raise InputError(f"priors names {path}, which is not free; allowed: {names}")

@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from hapjax import Recording, Scene
 
@@ -35,14 +34,27 @@ class Problem(eqx.Module):
     sensors: Sensors = eqx.field(default_factory=Sensors)
     priors: Priors | None = None
 
-    def scene_at(self, free: Float[Array, " p"]) -> Scene:
-        """The scene with the free numbers put in."""
-        return self.setup_at(free).scene
+    @property
+    def apart(self) -> bool:
+        """Whether some numbers are of one recording each."""
+        return any(p.place is not None for p in self.parameters)
 
-    def setup_at(self, free: Float[Array, " p"]) -> Setup:
-        """The scene and the sensors with the free numbers put in."""
+    def scene_at(self, free: Float[Array, " p"], place: Int[Array, ""] | int = 0) -> Scene:
+        """The scene with the free numbers put in, and with those of one recording."""
+        return self.setup_at(free, place).scene
+
+    def setup_at(self, free: Float[Array, " p"], place: Int[Array, ""] | int = 0) -> Setup:
+        """The scene and the sensors with the free numbers put in, and with those of one recording."""
         values = jnp.stack([p.transform.value(x) for p, x in zip(self.parameters, free, strict=True)])
-        return with_values(Setup(self.scene, self.sensors), self.parameters, values)
+        setup = Setup(self.scene, self.sensors)
+        if not self.apart:
+            return with_values(setup, self.parameters, values)
+        rows: dict[str, list[int]] = {}
+        for i, p in enumerate(self.parameters):
+            rows.setdefault(p.stem, []).append(i)
+        picked = [values[i[0]] if len(i) == 1 else values[jnp.asarray(i)[place]] for i in rows.values()]
+        shown = tuple(self.parameters[i[0]] for i in rows.values())
+        return with_values(setup, shown, jnp.stack(picked))
 
     def known(self) -> int:
         """Of how many numbers something is known beforehand."""
@@ -99,11 +111,15 @@ def stacked_residuals(free: Float[Array, " p"], problem: Problem) -> Float[Array
 
 def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Float[Array, "_ _ _"]]]:
     """Whitened residuals of each group's channels: of R recordings, N samples of m numbers."""
-    setup = problem.setup_at(free)
+    shared = None if problem.apart else problem.setup_at(free)
+
+    def one(observation: Observation):
+        setup = problem.setup_at(free, observation.place) if shared is None else shared
+        return residuals(setup.scene, observation, problem.noise, setup.sensor)
+
     found = []
     for group in problem.groups:
-        one = partial(residuals, setup.scene)
-        each = jax.vmap(one, in_axes=(0, None, None))(group, problem.noise, setup.sensor)
+        each = jax.vmap(one)(group)
         found += list(each.items())
     return found
 

@@ -12,6 +12,7 @@ from hapjax import Recording, Scene, Surface, rotation
 from .grip import grips
 from .observation import CHANNELS, Observation, as_sensed, observation_of, predicted
 from .result import FitResult
+from .sensors import Sensors
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,9 @@ class Replay:
 
 def replay(result: FitResult, recording: Recording, name: str) -> Replay:
     """Play a recording through the fitted scene."""
-    scene = result.scene
+    scene, sensors = result.scene_of(name), result.sensors_of(name)
     observation = observation_of(scene, recording, _channels(scene, recording), name)
-    said = jax.jit(predicted)(scene, observation, result.sensors)
+    said = jax.jit(predicted)(scene, observation, sensors)
     assert recording.hip_t is not None
     dt = float(scene.integrator.dt)
     times = recording.hip_t[0] + dt * np.arange(len(observation.hips))
@@ -73,11 +74,11 @@ def replay(result: FitResult, recording: Recording, name: str) -> Replay:
         samples = getattr(observation, key)
         time = times[0] + dt * (np.asarray(samples.index) + np.asarray(samples.weight, np.float64))
         channels[key] = Compared(time, np.asarray(samples.value), np.asarray(said[key]))
-    observation = as_sensed(result.sensors, observation, scene.integrator.dt)
+    observation = as_sensed(sensors, observation, scene.integrator.dt)
     gimbals = None if observation.gimbals is None else observation.gimbals[None]
     played = grips(scene, observation.hips[None], gimbals)
     found = {path: jax.tree.map(lambda x: np.asarray(x)[0], grip) for path, grip in played.items()}
-    return Replay(channels, [_touching(result, path, found, times, observation) for path in found])
+    return Replay(channels, [_touching(result, name, path, found, times, observation) for path in found])
 
 
 def _channels(scene: Scene, recording: Recording) -> tuple[str, ...]:
@@ -86,9 +87,14 @@ def _channels(scene: Scene, recording: Recording) -> tuple[str, ...]:
 
 
 def _touching(
-    result: FitResult, path: str, found: dict[str, Any], times: np.ndarray, observation: Observation
+    result: FitResult,
+    name: str,
+    path: str,
+    found: dict[str, Any],
+    times: np.ndarray,
+    observation: Observation,
 ) -> Touching:
-    grip, surface = found[path], _surface(result.scene, path)
+    grip, surface = found[path], _surface(result.scene_of(name), path)
     static = surface.mu if surface.mu_static is None else surface.mu_static
     limit = _of_face(static, grip.face) * grip.normal_force
     size = grip.friction_force
@@ -96,17 +102,19 @@ def _touching(
     if surface.mu_kinetic is not None:
         sliding = _of_face(surface.mu_kinetic, grip.face) * grip.normal_force
         slipping |= (size > 0) & (np.abs(size - sliding) <= 1e-4 * sliding)
-    measured = _measured(result, path, found, observation) if grip.direction is not None else None
-    slopes = _slopes(result, path, np.unique(grip.face[grip.normal_force > 0]))
+    measured = (
+        _measured(result.sensors_of(name), path, found, observation) if grip.direction is not None else None
+    )
+    slopes = _slopes(result, name, path, np.unique(grip.face[grip.normal_force > 0]))
     if any("at least" in name for name in slopes) or not slopes:
         limit = None
     return Touching(path, times, grip.normal_force, size, slipping, limit, slopes, measured)
 
 
-def _slopes(result: FitResult, path: str, faces: np.ndarray) -> dict[str, float]:
+def _slopes(result: FitResult, recording: str, path: str, faces: np.ndarray) -> dict[str, float]:
     """Each mu of the faces that were touched; a lower bound where that is all that is known."""
     found = {}
-    surface = _surface(result.scene, path)
+    surface = _surface(result.scene_of(recording), path)
     prefix = f"{path}.surface" if path.startswith("object.") else path
     for field in ("mu", "mu_static", "mu_kinetic"):
         value = getattr(surface, field)
@@ -114,7 +122,7 @@ def _slopes(result: FitResult, path: str, faces: np.ndarray) -> dict[str, float]
             continue
         for face in faces if value.ndim else [None]:
             name = f"{prefix}.{field}" if face is None else f"{prefix}.{field}[{face}]"
-            fitted = result.parameters.get(name)
+            fitted = result.parameters.get(name, result.parameters.get(f"{name} @ {recording}"))
             label = field if face is None else f"{field}[{face}]"
             if fitted is None or fitted.identified:
                 found[label] = float(value if face is None else value[face])
@@ -136,7 +144,7 @@ def _of_face(mu, face: np.ndarray) -> np.ndarray:
 
 
 def _measured(
-    result: FitResult, path: str, found: dict[str, Any], observation: Observation
+    sensors: Sensors, path: str, found: dict[str, Any], observation: Observation
 ) -> np.ndarray | None:
     """Measured forces taken apart along the normals that the model has at those times."""
     if observation.force is None:
@@ -146,7 +154,7 @@ def _measured(
     for other, grip in found.items():
         if other != path and grip.direction is not None:
             alone &= ~(grip.normal_force > 0)
-    force, direction = result.sensors.corrected(observation.force.value), found[path].direction[index]
+    force, direction = sensors.corrected(observation.force.value), found[path].direction[index]
     normal = np.sum(force * direction, axis=-1)
     tangential = np.linalg.norm(force - normal[..., None] * direction, axis=-1)
     return np.stack([normal, tangential], axis=-1)[alone[index]]

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from hapjax import Finding, Recording, Scene
@@ -38,9 +39,10 @@ class Estimate:
 class FitResult:
     """The outcome of a fit.
 
-    `parameters` by path; `scene` and `sensors` with the best values; `loss`, half the sum of squared whitened residuals;
-    `residual_rms` in N (`force`), m (`pose`) and rad (`angle`); `converged`: whether the solver met its
-    tolerances, and the residuals are below twice the noise or at least two starts ended at the best loss, else `reason`
+    `parameters` by path; `scene` and `sensors` with the best values, those of the first recording where
+    each has its own; `loss`, half the sum of squared whitened residuals; `residual_rms` in N (`force`), m (`pose`) and
+    rad (`angle`); `converged`: whether the solver met its tolerances, and the residuals are below twice the noise or at
+    least two starts ended at the best loss, else `reason`
     says what is missing; `starts`, of which `starts_at_best` ended at the best loss; `noise`, the
     standard deviations that the residuals were divided by: `force` N, `position` m, `angle` rad; `trace`:
     each start's loss by step; `lost`, in how many recordings the model left the range of sense: they were dropped, and the
@@ -76,6 +78,14 @@ class FitResult:
     variance: float = 1.0
     measured: Mapping[str, int] = field(default_factory=dict)
     identifiability: tuple[str, ...] = ()
+
+    def scene_of(self, name: str) -> Scene:
+        """The scene with the best values for one of the recordings, by its name."""
+        return self.problem.scene_at(jnp.asarray(self.free), self.names.index(name))
+
+    def sensors_of(self, name: str) -> Sensors:
+        """The sensors with the best values for one of the recordings, by its name."""
+        return self.problem.setup_at(jnp.asarray(self.free), self.names.index(name)).sensor
 
     @property
     def correlation(self) -> np.ndarray:
