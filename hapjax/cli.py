@@ -94,6 +94,7 @@ def fit(
     topic: tuple[str, ...] = (),
     compare: tuple[str, ...] = (),
     profile: tuple[str, ...] = (),
+    suggest: FlagCreatePairsOff[bool] = False,
 ) -> int:
     """Find numbers of a scene from recordings, with 95 % intervals.
 
@@ -120,6 +121,7 @@ def fit(
         compare: Friction laws to put in the place of that of each surface whose mu is free, of cone viscous stribeck karnopp
             dahl lugre; what is reported is the fit with the lowest BIC.
         profile: Names of free numbers whose profile likelihood is to be walked: intervals that need not be symmetric.
+        suggest: Say which motion to record next, to shrink the standard errors most.
     """
     fitting, topics = need("hapjax_fitting", "fitting"), parsed(topic)
     with jax.enable_x64(True):
@@ -149,6 +151,10 @@ def fit(
             profiles = {name: fitting.profile(result, name) for name in profile}
             said += profiles.values()
             figures["profiles"] = {name: found.to_dict() for name, found in profiles.items()}
+        if suggest and not result.interrupted:
+            suggestion = fitting.suggest(result)
+            said.append(suggestion)
+            figures["suggestion"] = suggestion.to_dict()
         sections = [part.section() for part in said]
         for section in sections:
             Console().print(section.table())

@@ -12,4 +12,6 @@ from .report import write_report as write_report
 from .result import Estimate as Estimate
 from .result import FitResult as FitResult
 from .section import Section as Section
+from .suggest import Suggestion as Suggestion
+from .suggest import suggest as suggest
 from .sensors import Sensors as Sensors
