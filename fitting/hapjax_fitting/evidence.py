@@ -5,7 +5,7 @@ numbers that a fit is to find.
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import jax
@@ -59,13 +59,24 @@ class Evidence:
     def touching(self) -> np.ndarray:
         return self.places.depth > 0
 
-    @property
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """The outward normals in the world frame, (N, F, 3)."""
+        return np.einsum("nfij,nfj->nfi", self.places.turn, self.places.normal)
+
+    @cached_property
+    def along(self) -> np.ndarray:
+        """The force along the normals, (N, F) N."""
+        assert self.force is not None
+        return np.sum(self.force * self.normal, axis=-1)
+
+    @cached_property
     def strength(self) -> np.ndarray:
         """The size of the force, (N, F) N."""
         assert self.force is not None
         return np.linalg.norm(self.force, axis=-1)
 
-    @property
+    @cached_property
     def pressed(self) -> np.ndarray:
         """Where a force is beyond doubt, (N, F)."""
         size = self.strength

@@ -22,9 +22,11 @@ def stuck(evidence: Evidence) -> list[Finding]:
     found = []
     for finger in range(recording.hip.shape[1]):
         for axis in range(3):
+            steps = np.abs(np.diff(recording.hip[:, finger, axis]))
+            quick = np.quantile(steps[steps > 0], 0.9) if steps.any() else 0.0
             for first, last in _rests(recording.hip[:, finger], recording.hip_t, axis):
                 begin, end = float(recording.hip_t[first]), float(recording.hip_t[last])
-                jump = _jump(recording.hip[:, finger, axis], last)
+                jump = _jump(steps, quick, last)
                 said = jump or _contradicted(evidence, finger, axis, begin, end)
                 if said is not None:
                     sentence = (
@@ -47,10 +49,10 @@ def _rests(path: np.ndarray, times: np.ndarray, axis: int):
             yield first, last
 
 
-def _jump(path: np.ndarray, last: int) -> str | None:
-    """How far one axis jumps as a rest ends; None where it moves on as it always does."""
-    steps = np.abs(np.diff(path))
-    if last + 1 >= len(path):
+def _jump(steps: np.ndarray, quick: float, last: int) -> str | None:
+    """How far one axis jumps as a rest ends; None where it moves on as it always does. `quick`, nine in ten of its steps
+    are no longer."""
+    if last >= len(steps) or steps[last] <= _LEAP * quick:  # the others' 99th percentile is no smaller
         return None
     others = np.delete(steps, last)
     moves = others[others > 0]
@@ -65,8 +67,7 @@ def _contradicted(evidence: Evidence, finger: int, axis: int, begin: float, end:
     assert evidence.force is not None
     touching = places.depth[:, finger] > 0
     during = (evidence.times >= begin) & (evidence.times <= end)
-    world = np.einsum("nij,nj->ni", places.turn[:, finger], places.normal[:, finger])
-    along = np.sum(evidence.force[:, finger] * world, axis=-1)
+    world, along = evidence.normal[:, finger], evidence.along[:, finger]
     felt = during & touching
     # A finger that is frozen outside what it presses on is told by its force alone.
     outside = during & ~touching & evidence.pressed[:, finger]

@@ -1,0 +1,109 @@
+"""The measurements of the fit, as tables and files."""
+
+import csv
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+from hapjax import InputError, Scene
+from hapjax.files import check_makeable, replacing
+
+from ..parameters import free_parameters
+from . import efficiency, speed
+from .cases import CASES
+
+DRAWS = {
+    "mu, stiffness": 1000,
+    "static, kinetic, viscous": 1000,
+    "critical area": 200,
+    "mass, centre, inertia": 200,
+}
+_QUICK = 50  # times fewer recordings
+_MINUTE, _GRASP = 60.0, 20.0  # s
+
+
+def report(scene: Scene | None, quick: bool, out: Path | None, file: Path | None) -> None:
+    """Measure, print the tables, and write the figures as JSON and all estimates as CSV where these are given."""
+    if scene is not None:
+        raise InputError("--scene is given; allowed: none, for the fit is measured on scenes of its own")
+    if out is not None:
+        check_makeable(out)
+    console, shorter = Console(), _QUICK if quick else 1
+    figures: dict[str, Any] = {"cores": os.cpu_count(), "quick": quick, "efficiency": []}
+    with jax.enable_x64(True):
+        for name, draws in DRAWS.items():
+            row, estimates = efficiency.measure(name, draws // shorter)
+            figures["efficiency"].append(row)
+            if out is not None:
+                _write(out, name, estimates)
+        console.print(efficiency_table(figures["efficiency"]))
+        figures["minute"] = speed.minute(_MINUTE / shorter)
+        figures["grasp"] = speed.grasp(_GRASP / shorter)
+        figures["recordings"] = speed.numbers(speed.COUNTS[:2] if quick else speed.COUNTS)
+    for table in (speed_table(figures), numbers_table(figures["recordings"])):
+        console.print(table)
+    figures["load"] = os.getloadavg()
+    if file is not None:
+        with replacing(file) as opened:
+            json.dump(figures, opened, indent=2)
+            opened.write("\n")
+
+
+def _write(folder: Path, name: str, estimates: np.ndarray) -> None:
+    """All estimates of a case, a line each."""
+    case = CASES[name]
+    names = [p.name for p in free_parameters(case.truth(), case.free)]
+    folder.mkdir(parents=True, exist_ok=True)
+    with replacing(folder / f"{name.replace(', ', '_').replace(' ', '_')}.csv") as file:
+        lines = csv.writer(file, lineterminator="\n")
+        lines.writerow(["recording", "parameter", "estimate", "low95", "high95"])
+        for i, of_one in enumerate(estimates.tolist()):
+            lines.writerows([i, key, *row] for key, row in zip(names, of_one, strict=True))
+
+
+def efficiency_table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Errors beside the least possible ones."""
+    table = Table(
+        "parameter", "fits", "rms error", "of least", "95 % hold", "least", title="estimates", box=SIMPLE
+    )
+    for row in rows:
+        for p in row["parameters"]:
+            fits = (
+                str(row["draws"]) if p["identified"] == row["draws"] else f"{p['identified']}/{row['draws']}"
+            )
+            part = p["name"].split(".", 2)[-1]
+            hold = f"{100 * p['cover']:.1f} %"
+            table.add_row(part, fits, f"{p['rmse']:.3g}", f"{p['ratio']:.3f}", hold, p["held_against"])
+        table.add_section()
+    return table
+
+
+def speed_table(figures: dict[str, Any]) -> Table:
+    """Times of fits."""
+    minute, grasp = figures["minute"], figures["grasp"]
+    table = Table(
+        "what", "s", title=f"times of fits, compiled before, on {figures['cores']} cores", box=SIMPLE
+    )
+    length = f"mu and stiffness, {minute['seconds']:.3g} s at 1 kHz"
+    table.add_row(f"{length}, {minute['starts']} starts", f"{minute['fit_s']:.3f}")
+    table.add_row(f"{length}, one start", f"{minute['one_start_s']:.3f}")
+    table.add_row(f"{length}, by hand, one start", f"{minute['by_hand_s']:.3f}")
+    table.add_row("  of which one start here takes a part", f"1 / {minute['ratio']:.1f}")
+    table.add_row(f"mass and inertia, {grasp['seconds']:.3g} s of grasp", f"{grasp['fit_s']:.3f}")
+    return table
+
+
+def numbers_table(figures: dict[str, Any]) -> Table:
+    """Time against the number of recordings."""
+    table = Table("recordings", "s", title=f"time grows with the power {figures['exponent']:.2f}", box=SIMPLE)
+    for count, taken in zip(figures["recordings"], figures["fit_s"], strict=True):
+        table.add_row(str(count), f"{taken:.3f}")
+    return table

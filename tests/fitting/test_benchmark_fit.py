@@ -1,0 +1,101 @@
+"""hapjax benchmark fit: the least errors that estimates are held against, the fit by hand, and the command."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hapjax
+from fitting_cases import floor, forces
+from hapjax.cli import main
+from hapjax_fitting.benchmark import by_hand, efficiency, report
+from hapjax_fitting.benchmark.cases import CASES, Case, stroke
+from hapjax_fitting.breakaway import Posterior
+from hapjax_fitting.parameters import free_parameters
+
+FLOOR = "object.floor.surface."
+
+
+def least(case, path):
+    return efficiency.least_variance(case, free_parameters(case.truth(), case.free), jnp.asarray(path))
+
+
+def test_the_least_error_of_a_stiffness_is_that_of_a_line_through_noise():
+    depth = 0.003 * np.sin(0.1 * np.arange(50)) ** 2
+    path = np.stack([0 * depth, 0 * depth, -depth], axis=-1)[:, None]
+    case = Case(floor(), (FLOOR + "stiffness",), lambda _: path, {"force": 0.02})
+    np.testing.assert_allclose(least(case, path), 0.02**2 / np.sum(depth**2))
+
+
+def test_the_least_error_of_a_static_mu_is_that_between_two_samples():
+    """The finger sinks in by 2 mm and moves off; it breaks away between the samples where |x| / depth passes mu."""
+    x = np.concatenate([[0.0], 1e-5 * np.arange(40) ** 2])
+    path = np.stack([x, 0 * x, np.full_like(x, -0.002)], axis=-1)[:, None]
+    case = Case(floor(mu_static=0.6, mu_kinetic=0.1), (FLOOR + "mu_static",), lambda _: path, {"force": 0.02})
+    ratio = x / 0.002
+    width = ratio[ratio > 0.6].min() - ratio[ratio <= 0.6].max()
+    np.testing.assert_allclose(least(case, path), width**2 / 12, rtol=1e-6)
+
+
+def test_noise_of_poses_is_that_which_was_asked_for():
+    case = CASES["critical area"]
+    seen, clean = (Case(case.scene, case.free, case.motion, n).recorded(3) for n in (case.noise, QUIET))
+    assert seen.pose is not None and clean.pose is not None
+    off = seen.pose[..., :3] - clean.pose[..., :3]
+    assert np.std(off) == pytest.approx(case.noise["position"], rel=0.1)
+    p, q = clean.pose[:, 0, 3:], seen.pose[:, 0, 3:]
+    w, v = p[:, :1] * q[:, 1:] - q[:, :1] * p[:, 1:], np.cross(p[:, 1:], q[:, 1:])
+    assert np.std(2 * (w - v)) == pytest.approx(case.noise["angle"], rel=0.1)
+
+
+QUIET = {"force": 1e-12, "position": 1e-12, "angle": 1e-12}
+
+
+def test_the_model_by_hand_is_the_same():
+    path = stroke(np.random.default_rng(0), 3, 60)
+    np.testing.assert_allclose(
+        by_hand.forces(0.6, 800.0, path[:, 0]), forces(floor(), path)[:, 0], atol=1e-12
+    )
+
+
+def test_a_staircase_of_likelihood():
+    flat = Posterior(np.array([0.0, 1.0, 2.0]), np.array([0.5, 0.5]))
+    assert flat.mean() == 1 and flat.deviation() == pytest.approx(2 / np.sqrt(12))
+    np.testing.assert_allclose(flat.central(0.95), [0.05, 1.95])
+    steep = Posterior(np.array([0.0, 1.0, 3.0]), np.array([0.1, 0.9]))
+    np.testing.assert_allclose(steep.central(0.5), [1 + 2 * 0.15 / 0.9, 1 + 2 * 0.65 / 0.9])
+
+
+@pytest.mark.slow
+def test_static_mu_is_as_near_as_can_be_and_its_intervals_hold_it():
+    draws, allowed = 24, 3 / np.sqrt(2 * 24)  # 3 standard deviations of what chance makes of so few
+    row, _ = efficiency.measure("static, kinetic, viscous", draws)
+    assert [p["identified"] for p in row["parameters"]] == [draws] * 3
+    assert all(abs(p["ratio"] - 1) < 0.05 + allowed for p in row["parameters"])
+    cover = [p["cover"] for p in row["parameters"]]
+    # 95 % intervals that never miss are too wide.
+    assert min(cover) > 0.93 - 3 * np.sqrt(0.95 * 0.05 / draws) and np.mean(cover) < 1
+
+
+@pytest.mark.slow
+def test_the_command(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(report, "DRAWS", {"mu, stiffness": 100})
+    file, folder = tmp_path / "fit.json", tmp_path / "estimates"
+    assert main(["benchmark", "fit", "--quick", "--json", str(file), "--out", str(folder)]) == 0
+    figures = json.loads(file.read_text())
+    assert [p["name"] for p in figures["efficiency"][0]["parameters"]] == [FLOOR + "mu", FLOOR + "stiffness"]
+    minute = figures["minute"]
+    np.testing.assert_allclose(minute["estimates"], [0.6, 800], rtol=0.02)
+    np.testing.assert_allclose(minute["by_hand"], minute["estimates"], rtol=1e-4)
+    assert figures["recordings"]["recordings"] == [1, 10]
+    lines = (folder / "mu_stiffness.csv").read_text().splitlines()
+    assert lines[0] == "recording,parameter,estimate,low95,high95" and len(lines) == 1 + 2 * 2
+    said = capsys.readouterr().out
+    assert "surface.stiffness" in said and "by hand" in said
+
+
+def test_a_scene_is_refused(tmp_path, capsys):
+    hapjax.save_scene(floor(), tmp_path / "floor.toml")
+    assert main(["benchmark", "fit", "--scene", str(tmp_path / "floor.toml")]) == 2
+    assert "--scene is given; allowed: none" in capsys.readouterr().err
