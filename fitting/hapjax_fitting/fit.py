@@ -20,7 +20,7 @@ from .identifiability import identifiability
 from .interrupt import stopping_at_interrupts
 from .noise import noise_of, spread_of
 from .observation import CHANNELS, LOST
-from .parameters import Parameter, Selector, free_parameters, paths_of, size_at
+from .parameters import Parameter, Selector, free_parameters, paths_of, reported, size_at
 from .priors import priors_of
 from .problem import NOTICEABLE, Problem, channels_of, grouped, stacked_residuals
 from .progress import following
@@ -30,6 +30,7 @@ from .shooting import EXPLAINED, shots
 from .solve import Solutions, Trace, expect, listen, so_far, solve
 from .transform import Logit
 from .uncertainty import Certainty, certainty, information
+from .whole_body import made_explicit
 
 _MOST_SEARCHES = 4
 # Residuals beyond so many times the noise: what the model says of slip is then not what the recordings say.
@@ -95,6 +96,7 @@ def fit(
     _check_numbers(starts, spread, seed, max_steps)
     scene = cast(scene, jnp.result_type(float))
     sensors = explicit(sensors or Sensors(), paths_of(scene, free), scene.integrator.dt.dtype)
+    scene = made_explicit(scene, paths_of(scene, free))
     apart = (each,) if isinstance(each, str) else tuple(each)
     kept, trace = list(range(len(recordings))), Trace()
     showing = following(trace, max_steps) if progress else listen(trace)
@@ -105,7 +107,7 @@ def fit(
             parameters = free_parameters(Setup(scene, sensors), free, bounds, apart, called)
             groups = grouped(scene, used, channels, called, parameters, sensors)
             size = noise_of(used, noise, scene.integrator.dt.dtype)
-            known = priors_of(priors, parameters, scene.integrator.dt.dtype)
+            known = priors_of(priors, reported(parameters), scene.integrator.dt.dtype)
             problem = Problem(scene, groups, size, parameters, sensors, known)
             _check_count(problem)
             try:
@@ -203,17 +205,21 @@ def _result(
     typical = float(np.mean(variance))
     variance = np.concatenate([variance, np.ones(problem.known())])  # priors are believed
     cost, chance = cost_of_grip(free, problem), NOTICEABLE * typical
-    widest = np.array([p.transform.widest for p in problem.parameters])
-    known = certainty(np.asarray(matrix), variance, widest, cost > chance)
+    said, shown = problem.reported, problem.report(free)
+    back = _back(problem, free)
+    slopes = np.asarray(matrix) if back is None else np.asarray(matrix) @ back
+    widest = np.array([p.transform.widest for p in said])
+    known = certainty(slopes, variance, widest, cost > chance)
+    spread = known.covariance if back is None else back @ known.covariance @ back.T
     explained = max(size.values()) < _EXPLAINED  # in units of the noise
     jumping = [is_static(problem, i) and cost[i] > chance for i in range(len(free))]
     estimates = {
-        p.name: _breakaway(problem, free, i, typical, known.covariance)
+        p.name: _breakaway(problem, free, i, typical, spread)
         if jumping[i]
-        else _estimate(p, free[i], known, i)
+        else _estimate(p, shown[i], known, i)
         if known.identified[i]
         else _not_identified(problem, free, known, i, float(cost[i]), chance, explained)
-        for i, p in enumerate(problem.parameters)
+        for i, p in enumerate(said)
     }
     fisher = information(np.asarray(matrix), variance)
     units = {name: float(getattr(problem.noise, name)) for name in size}
@@ -248,10 +254,21 @@ def _result(
         information=fisher,
         variance=typical,
         identifiability=identifiability(
-            fisher, problem.parameters, estimates, (cost > chance) & ~np.array(jumping), _seconds(recordings)
+            information(slopes, variance),
+            said,
+            estimates,
+            (cost > chance) & ~np.array(jumping),
+            _seconds(recordings),
         ),
         measured={key: sum(r.size for name, r in channels if name == key) for key in size},
     )
+
+
+def _back(problem: Problem, free: Array) -> Float[np.ndarray, "p p"] | None:
+    """The derivative of the free numbers by the reported ones (the delta method); `None`: they are the same."""
+    if problem.reported == problem.parameters:
+        return None
+    return np.linalg.inv(np.asarray(jax.jacfwd(problem.report)(free)))
 
 
 def _seconds(recordings: Sequence[Recording]) -> float:
@@ -318,9 +335,7 @@ def _not_identified(
     elif cost <= chance:
         reason = "nothing slipped" if cost <= 0 else "hardly anything slipped"
     elif known.tied_to(i):
-        reason = (
-            f"not to be told apart from {', '.join(problem.parameters[j].name for j in known.tied_to(i))}"
-        )
+        reason = f"not to be told apart from {', '.join(problem.reported[j].name for j in known.tied_to(i))}"
     elif known.covariance[i, i] > 0:
         reason = "the data hardly depend on it"
     else:

@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hapjax import InputError, Object, Scene
+from hapjax import Body, InputError, Object, Scene
 
 from .sensors import Setup, size_of
 from .transform import Identity, Log, Logit, Transform
+from .whole_body import COUNT, SIZES, as_shown, body_of, is_whole, of_leaf, shown
 
 Root = Scene | Setup
 _R = TypeVar("_R", Scene, Setup)
@@ -57,6 +58,8 @@ class Parameter:
 def size_at(parameter: Parameter, free: float, least: float = _SMALL) -> float:
     """How far off an unconstrained number may well be: 1 for a logarithm, else its size and at least `least`, or what
     is usual of a sensor."""
+    if is_whole(parameter.path):
+        return SIZES[parameter.index or 0]
     usual = None if isinstance(parameter.transform, Logit) else size_of(parameter.path)
     if isinstance(parameter.transform, Identity):
         return max(abs(free), least if usual is None else usual)
@@ -73,6 +76,8 @@ def moves_surface(parameter: Parameter) -> bool:
 
 def find_leaf(scene: Root, path: str) -> Float[Array, "*shape"]:
     """The leaf with a path such as `object.cube.surface.mu`. **Raises:** `InputError` where there is none."""
+    if is_whole(path):
+        return of_leaf(_body(scene, path))
     node = _walk(scene, path)
     if not eqx.is_array(node):
         raise InputError(
@@ -107,7 +112,7 @@ def free_parameters(
     for given in paths_of(scene, free):
         parameters += _expand(scene, given, bounds or {})
     parameters = _for_each(parameters, each, recordings, bounds or {})
-    names = [p.name for p in parameters]
+    names = [p.name for p in reported(tuple(parameters))]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"free names {name} twice; allowed: each parameter once")
@@ -165,10 +170,45 @@ def values_of(scene: Root, parameters: tuple[Parameter, ...]) -> Float[Array, "p
 
 def with_values(scene: _R, parameters: tuple[Parameter, ...], values: Float[Array, "p"]) -> _R:
     """The scene, or scene and sensors, with other values of its parameters."""
-    leaves = {p.path: find_leaf(scene, p.path) for p in parameters}
+    leaves = {p.path: find_leaf(scene, p.path) for p in parameters if not is_whole(p.path)}
     for i, p in enumerate(parameters):
-        leaves[p.path] = values[i] if p.index is None else leaves[p.path].at[p.index].set(values[i])
+        if is_whole(p.path):
+            if p.index == 0:
+                body = p.path.rsplit(".", 1)[0]
+                names = (f"{body}.mass", f"{body}.centre", f"{body}.inertia")
+                leaves |= dict(zip(names, body_of(values[i : i + COUNT]), strict=True))
+        else:
+            leaves[p.path] = values[i] if p.index is None else leaves[p.path].at[p.index].set(values[i])
     return eqx.tree_at(lambda s: [_walk(s, path) for path in leaves], scene, list(leaves.values()))
+
+
+def reported(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+    """The parameters as results name them: mass, centre and inertia in place of a whole body's ten numbers."""
+    found = []
+    for p in parameters:
+        if is_whole(p.path):
+            path, index, transform = shown(p.path)[p.index or 0]
+            p = dataclasses.replace(p, path=path, index=index, transform=transform)
+        found.append(p)
+    return tuple(found)
+
+
+def report(parameters: tuple[Parameter, ...], free: Float[Array, " p"]) -> Float[Array, " p"]:
+    """The unconstrained numbers of the `reported` parameters."""
+    for p in parameters:
+        if is_whole(p.path) and p.index == 0:
+            of_body = jnp.asarray(
+                [i for i, q in enumerate(parameters) if (q.path, q.place) == (p.path, p.place)]
+            )
+            free = free.at[of_body].set(as_shown(free[of_body]))
+    return free
+
+
+def _body(scene: Root, path: str) -> Body:
+    node = _walk(scene, path.rsplit(".", 1)[0])
+    if not isinstance(node, Body):
+        raise InputError(f"{path}: only a body has one; allowed: object.NAME.body.pseudo_inertia")
+    return node
 
 
 def _expand(scene: Root, given: str, bounds: Mapping[str, tuple[float, float]]) -> list[Parameter]:
@@ -176,10 +216,18 @@ def _expand(scene: Root, given: str, bounds: Mapping[str, tuple[float, float]]) 
     path = match.group(1) if match else given
     if path.split(".")[0] in _NOT_PHYSICAL:
         raise InputError(f"{given} is not physical; allowed: {_continuations(scene, [])}")
+    if is_whole(path):
+        _body(scene, path)
+        if match:
+            raise InputError(f"{given} is not free alone; allowed: {path}, all of its ten numbers")
+        if any(name.startswith(path) for name in bounds):
+            raise InputError(f"bounds names {path}; allowed: priors on mass, centre and inertia")
+        return [Parameter(path, i, Identity()) for i in range(COUNT)]
     shape = find_leaf(scene, path).shape
     if len(shape) > 1:
         raise InputError(
-            f"{path} is a matrix; allowed: numbers and lists (give the inertia as three principal moments)"
+            f"{path} is a matrix; allowed: numbers and lists (give the inertia as three principal moments, "
+            "or free pseudo_inertia: mass, centre and inertia together)"
         )
     if match and (len(shape) == 0 or int(match.group(2)) >= shape[0]):
         raise InputError(f"{given} is out of range; allowed: {_names(path, shape)}")

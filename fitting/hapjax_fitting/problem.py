@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int
 from hapjax import Recording, Scene
 
 from .observation import PERFECT, Noise, Observation, observation_of, residuals
-from .parameters import Parameter, moves_surface, values_of, with_values
+from .parameters import Parameter, moves_surface, report, reported, values_of, with_values
 from .priors import Priors
 from .sensors import Sensors, Setup
 from .solve import half_square
@@ -38,6 +38,15 @@ class Problem(eqx.Module):
     def apart(self) -> bool:
         """Whether some numbers are of one recording each."""
         return any(p.place is not None for p in self.parameters)
+
+    @property
+    def reported(self) -> tuple[Parameter, ...]:
+        """The parameters as results name them."""
+        return reported(self.parameters)
+
+    def report(self, free: Float[Array, " p"]) -> Float[Array, " p"]:
+        """The unconstrained numbers of the reported parameters."""
+        return report(self.parameters, free)
 
     def scene_at(self, free: Float[Array, " p"], place: Int[Array, ""] | int = 0) -> Scene:
         """The scene with the free numbers put in, and with those of one recording."""
@@ -105,7 +114,7 @@ def stacked_residuals(free: Float[Array, " p"], problem: Problem) -> Float[Array
     """All whitened residuals in one vector; those of priors come last."""
     found = [r.ravel() for _, r in by_channel(free, problem)]
     if problem.priors is not None:
-        found.append(problem.priors.residuals(problem.parameters, free))
+        found.append(problem.priors.residuals(problem.reported, problem.report(free)))
     return jnp.concatenate(found)
 
 

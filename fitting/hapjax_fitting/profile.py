@@ -85,8 +85,9 @@ def profile(result: FitResult, name: str) -> Profile:
     **Raises:** `InputError` where `name` was not free.
     """
     problem, names = result.problem, [p.name for p in result.problem.parameters]
-    if name not in names:
-        raise InputError(f"profile names {name}, which is not free; allowed: {', '.join(names)}")
+    if name not in names or name not in result.parameters:
+        allowed = ", ".join(n for n in names if n in result.parameters)
+        raise InputError(f"profile names {name}, which is not free; allowed: {allowed or 'none'}")
     i = names.index(name)
     transform = problem.parameters[i].transform
     centre, free = float(result.free[i]), jnp.asarray(result.free)
