@@ -95,6 +95,7 @@ def fit(
     compare: tuple[str, ...] = (),
     profile: tuple[str, ...] = (),
     suggest: FlagCreatePairsOff[bool] = False,
+    posterior: int | None = None,
 ) -> int:
     """Find numbers of a scene from recordings, with 95 % intervals.
 
@@ -121,6 +122,7 @@ def fit(
         compare: Friction laws to put in the place of that of each surface whose mu is free, of cone viscous stribeck karnopp
             dahl lugre; what is reported is the fit with the lowest BIC.
         profile: Names of free numbers whose profile likelihood is to be walked: intervals that need not be symmetric.
+        posterior: Number of draws from the posterior, 50 to 100000, in each of two chains (extra posterior).
         suggest: Say which motion to record next, to shrink the standard errors most.
     """
     fitting, topics = need("hapjax_fitting", "fitting"), parsed(topic)
@@ -151,6 +153,10 @@ def fit(
             profiles = {name: fitting.profile(result, name) for name in profile}
             said += profiles.values()
             figures["profiles"] = {name: found.to_dict() for name, found in profiles.items()}
+        if posterior is not None and not result.interrupted:
+            drawn = fitting.posterior(result, posterior, seed)
+            said.append(drawn)
+            figures["posterior"] = drawn.to_dict()
         if suggest and not result.interrupted:
             suggestion = fitting.suggest(result)
             said.append(suggestion)

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .canvas import BLUE, GREY, RED, WIDTH, Image, dress, finish, rows
+from .canvas import BLUE, GREY, ORANGE, RED, WIDTH, Image, dress, finish, rows
+from .posterior import Posterior
 from .profile import CHI95, CHI99, Profile
 from .result import Estimate, FitResult
 
@@ -96,6 +97,17 @@ def of_profile(profile: Profile) -> Image:
         axes.set_xlim(near[0], near[-1])
     dress(axes, x=profile.name, y="deviance (1)")
     return finish(figure, axes, f"Profile likelihood of {profile.name}")
+
+
+def of_posterior(posterior: Posterior) -> Image:
+    """A histogram of each number's draws, a colour for each chain."""
+    figure, grid = rows(len(posterior.draws), 1.8)
+    for axes, (name, draws) in zip(grid[:, 0], posterior.draws.items(), strict=True):
+        edges = np.histogram_bin_edges(draws, 40)
+        for i, (chain, colour) in enumerate(zip(draws, (BLUE, ORANGE), strict=False), 1):
+            axes.hist(chain, edges, histtype="step", color=colour, label=f"chain {i}")
+        dress(axes, x=name, y="draws")
+    return finish(figure, grid[0, 0], "Posterior of the parameters")
 
 
 def _once(axes) -> None:

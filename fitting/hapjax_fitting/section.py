@@ -31,7 +31,7 @@ class Section:
             box=SIMPLE,
         )
         for i, name in enumerate(self.columns):
-            shown.add_column(name, justify="right" if i else "left", no_wrap=i == 0)
+            shown.add_column(name, justify="right" if i else "left", no_wrap=i == 0, overflow="fold")
         for row in self.rows:
             shown.add_row(*row)
         return shown
