@@ -1,6 +1,7 @@
 """Meshes and convex polytopes against brute force, analytic shapes and SciPy."""
 
 import functools
+import itertools
 
 import equinox as eqx
 import jax
@@ -17,7 +18,9 @@ from meshes import TILT, distance, entries, icosphere, inside, notched, torus, v
 from test_structure import equations
 
 K = 800.0
+_BOX = trimesh.creation.box((0.06, 0.05, 0.04))
 FORMS = {"notched": notched(), "torus": torus(), "sphere": icosphere(2, 0.04)}
+FORMS["box"] = (np.asarray(_BOX.vertices), np.asarray(_BOX.faces))
 FORMS["notched"] = (FORMS["notched"][0] @ TILT.T, FORMS["notched"][1])
 
 
@@ -48,6 +51,12 @@ def followed(shape, ways):
 
 def _outside(point):
     return hapjax.shape.Track(point, jnp.zeros_like(point), jnp.zeros_like(point[0]))
+
+
+@jax.jit
+def forces(scene, path):
+    """The force on one finger along a path (T, 3) m."""
+    return hapjax.rollout(scene, hapjax.init(scene, path[:1]), path[:, None])[1].force[:, 0]
 
 
 @jax.jit
@@ -311,6 +320,32 @@ def test_friction_holds_on_both_walls_of_a_corner():
     np.testing.assert_allclose(force[stuck, 2], -K * pull[1:][stuck], atol=1e-9)
     assert -force[stuck, 2].min() > 0.98 * mu * 2 * K * press
     assert -force[-1, 2] == pytest.approx(0.5 * 2 * K * press, rel=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["box", "torus"])
+def test_with_friction_the_force_never_jumps(name):
+    """Over edges and corners, off the surface and on to it again."""
+    vertices, triangles = FORMS[name]
+    stiffness, mu, rng = 1000.0, 0.6, np.random.default_rng(5)
+    scene = hapjax.Scene({"it": hapjax.Object(mesh_of(name), hapjax.Surface(stiffness, mu=mu))})
+    size = np.ptp(vertices, axis=0).max()
+    touched = 0
+    for _ in range(10):
+        chosen = rng.integers(len(triangles), size=16)
+        corners = vertices[triangles[chosen]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        places = np.einsum("nij,ni->nj", corners, rng.dirichlet([1, 1, 1], 16))
+        places -= rng.uniform(-0.05, 0.05, (16, 1)) * size * normals
+        places[0] = vertices.max(axis=0) + 0.1 * size
+        path = np.concatenate([np.linspace(a, b, 300) for a, b in itertools.pairwise(places)])
+        force = np.asarray(forces(scene, jnp.asarray(path)))
+        steps = np.linalg.norm(np.diff(force, axis=0), axis=1)
+        own = stiffness * np.linalg.norm(np.diff(path, axis=0), axis=1)
+        assert np.all(steps <= 2 * np.sqrt(1 + mu**2) * own + 1e-9)
+        touched += np.count_nonzero(force.any(axis=1))
+    assert touched > 5000
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .. import safe
 
@@ -157,12 +157,22 @@ def ease(track: Track, query: Float[Array, "3"], near: SurfacePoint) -> tuple[Tr
     way = safe.norm(query - track.query) + eps
     late = size > way
     stretch = jnp.where(late, track.stretch + change * safe.divide(way, size), target)
-    depth = safe.norm(stretch)
+    normal = jnp.where(late, safe.normalise(stretch), near.normal)
     point = SurfacePoint(
         jnp.where(late, query + stretch, near.point),
-        jnp.where(late, safe.normalise(stretch), near.normal),
-        jnp.where(late, depth, near.depth),
+        normal,
+        jnp.where(late, safe.norm(stretch), near.depth),
         near.face,
-        near.corner,
+        None if near.corner is None else _alone(near.corner, late, normal, near.face),
     )
     return Track(query, stretch, near.face.astype(query.dtype)), point
+
+
+def _alone(corner: Corner, late: Bool[Array, ""], normal: Float[Array, "3"], face: Int[Array, ""]) -> Corner:
+    """While the pull lags behind it is not yet that of the planes which the point has come to: its own plane holds."""
+    first = jnp.arange(len(corner.weights)) == 0
+    return Corner(
+        jnp.where(late, normal[None], corner.normals),
+        jnp.where(late, first.astype(normal.dtype), corner.weights),
+        jnp.where(late, face, corner.faces),
+    )
