@@ -3,6 +3,7 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from numbers import Real
 from typing import Any
 
@@ -28,7 +29,7 @@ from .result import Estimate, FitResult
 from .sensors import Sensors, Setup, explicit
 from .shooting import EXPLAINED, shots
 from .solve import Solutions, Trace, expect, listen, so_far, solve
-from .transform import Logit
+from .transform import Logit, Transform
 from .uncertainty import Certainty, certainty, information
 from .whole_body import made_explicit
 
@@ -290,10 +291,15 @@ def _why_not(tolerant: bool, size: float, near: int, starts: int) -> str | None:
     return None
 
 
+@partial(jax.jit, static_argnums=0)
+def _slope(transform: Transform, free: Array) -> Array:
+    return jax.grad(transform.value)(free)
+
+
 def _estimate(parameter: Parameter, free: Array, known: Certainty, i: int) -> Estimate:
     transform = parameter.transform
     deviation = float(np.sqrt(known.covariance[i, i]))
-    slope = float(jax.grad(transform.value)(free))
+    slope = float(_slope(transform, free))
     return Estimate(
         float(transform.value(free)),
         abs(slope) * deviation,
