@@ -207,7 +207,7 @@ def _result(
     variance = np.concatenate([variance, np.ones(problem.known())])  # priors are believed
     cost, chance = cost_of_grip(free, problem), NOTICEABLE * typical
     said, shown = problem.reported, problem.report(free)
-    back = _back(problem, free)
+    back = problem.by_reported(free)
     slopes = np.asarray(matrix) if back is None else np.asarray(matrix) @ back
     widest = np.array([p.transform.widest for p in said])
     known = certainty(slopes, variance, widest, cost > chance)
@@ -263,13 +263,6 @@ def _result(
         ),
         measured={key: sum(r.size for name, r in channels if name == key) for key in size},
     )
-
-
-def _back(problem: Problem, free: Array) -> Float[np.ndarray, "p p"] | None:
-    """The derivative of the free numbers by the reported ones (the delta method); `None`: they are the same."""
-    if problem.reported == problem.parameters:
-        return None
-    return np.linalg.inv(np.asarray(jax.jacfwd(problem.report)(free)))
 
 
 def _seconds(recordings: Sequence[Recording]) -> float:

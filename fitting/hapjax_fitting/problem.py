@@ -48,6 +48,12 @@ class Problem(eqx.Module):
         """The unconstrained numbers of the reported parameters."""
         return report(self.parameters, free)
 
+    def by_reported(self, free: Float[Array, " p"]) -> Float[np.ndarray, "p p"] | None:
+        """The derivative of the free numbers by the reported ones (the delta method); `None`: they are the same."""
+        if self.reported == self.parameters:
+            return None
+        return np.linalg.inv(np.asarray(jax.jacfwd(self.report)(free)))
+
     def scene_at(self, free: Float[Array, " p"], place: Int[Array, ""] | int = 0) -> Scene:
         """The scene with the free numbers put in, and with those of one recording."""
         return self.setup_at(free, place).scene

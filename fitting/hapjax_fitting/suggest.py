@@ -17,6 +17,7 @@ from .problem import Problem, by_channel, grouped
 from .result import FitResult
 from .section import Section
 from .transform import Identity
+from .whole_body import is_whole
 
 _VAGUE = 1e3  # standard errors of a number without bounds, as known beforehand: hardly at all
 
@@ -80,7 +81,10 @@ def suggest(result: FitResult) -> Suggestion:
         )
     problem, names = result.problem, list(result.parameters)
     identified = np.array([p.identified for p in result.parameters.values()])
-    free = jnp.where(jnp.asarray(identified), jnp.asarray(result.free), problem.start())
+    whole = np.array(
+        [is_whole(p.path) for p in problem.parameters]
+    )  # of which each number is of all that is reported
+    free = jnp.where(jnp.asarray(identified | whole), jnp.asarray(result.free), problem.start())
     dt = float(problem.scene.integrator.dt)
     made = {name: path_of(motion, contact, dt) for name, motion in MOTIONS.items()}
     recordings = [_recording(result, path, begin, dt) for path, begin in made.values()]
@@ -92,11 +96,14 @@ def suggest(result: FitResult) -> Suggestion:
     vague = np.array(
         [
             _VAGUE * max(abs(float(x)), 1e-2) if isinstance(p.transform, Identity) else p.transform.widest
-            for p, x in zip(problem.parameters, free, strict=True)
+            for p, x in zip(problem.reported, problem.report(free), strict=True)
         ]
     )
+    back = problem.by_reported(free)
+    known = result.information if back is None else back.T @ result.information @ back
+    added = added if back is None else back.T @ added @ back
     # What a number that is not identified does to the residuals where the search ended says nothing of where it is.
-    before = np.where(np.outer(identified, identified), result.information, 0) + np.diag(1 / vague**2)
+    before = np.where(np.outer(identified, identified), known, 0) + np.diag(1 / vague**2)
     gain = {
         name: float(np.linalg.slogdet(before + more)[1] - np.linalg.slogdet(before)[1])
         for name, more in zip(made, added / result.variance, strict=True)
