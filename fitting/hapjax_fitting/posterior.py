@@ -95,15 +95,18 @@ def posterior(result: FitResult, samples: int = 1000, seed: int = 0) -> Posterio
             raise InputError(f"posterior needs gradients, and {name} has none; allowed: a fit without it")
     need("blackjax", "posterior")
     free = jnp.asarray(result.free)
-    root = jnp.asarray(np.linalg.cholesky(result.covariance), free.dtype)
+    back = problem.by_reported(free)
+    spread = result.covariance if back is None else back @ result.covariance @ back.T
+    root = jnp.asarray(np.linalg.cholesky(spread), free.dtype)
     variance = jnp.asarray(result.variance, free.dtype)
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         round_, diverged = _chains(jax.random.key(seed), free, root, variance, problem, samples)
         rhat, effective = _mixing(round_)
     found = free[None, None] + jnp.einsum("csi,ji->csj", round_, root)
+    found = jax.vmap(jax.vmap(problem.report))(found)
     draws = {
         name: np.asarray(p.transform.value(found[..., i]), np.float64)
-        for i, (name, p) in enumerate(zip(names, problem.parameters, strict=True))
+        for i, (name, p) in enumerate(zip(names, problem.reported, strict=True))
     }
     return Posterior(
         draws,
@@ -173,5 +176,5 @@ def _rows(free: Float[Array, " p"], args: Any) -> Float[Array, " n"]:
     variance, problem = args
     found = [r.ravel() / jnp.sqrt(variance) for _, r in by_channel(free, problem)]
     if problem.priors is not None:
-        found.append(problem.priors.residuals(problem.parameters, free))
+        found.append(problem.priors.residuals(problem.reported, problem.report(free)))
     return jnp.concatenate(found)
