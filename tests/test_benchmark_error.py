@@ -211,6 +211,29 @@ def test_mujoco_blowing_up_is_told_and_leaves_no_file(tmp_path, monkeypatch, cap
     )
 
 
+@pytest.mark.slow
+def test_the_truth_of_a_stiff_scene_is_one_that_two_integrators_agree_on(monkeypatch):
+    """A block of 1 g on four corners of 1e8 N/m: explicit steps have to be below 2 us, finer than any that is swept."""
+    block = hapjax.Object(
+        hapjax.Box((0.04,) * 3), body=hapjax.Body(1e-3, rotation=False), position=(0, 0, 0.02)
+    )
+    floor = hapjax.Contact(1e8, mu=0.5, damping=1.0, between=("block", "floor"))
+    parts = {"block": block, "floor": hapjax.Object(hapjax.Plane())}
+    stiff = hapjax.Scene(parts, {"floor": floor}, world=hapjax.World(gravity=(0, 0, -9.81)))
+    scene = hapjax.cast(stiff, jnp.float64)
+    case, sweep = (
+        error_scene.scene_case(scene, np.full((21, 1, 3), 9.0), None, 1000.0),
+        error_scene.sweep_at(1000.0),
+    )
+    with pytest.raises(hapjax.InputError, match="no truth to compare with"):
+        monkeypatch.setattr(_sweep, "WITNESSES", ("implicit",))
+        _sweep.extrapolated(case, sweep)
+    monkeypatch.undo()
+    truth, floor = _sweep.extrapolated(case, sweep)
+    assert floor < 1e-6
+    np.testing.assert_allclose(truth, [0, 0, 0.02], atol=1e-8)  # it yields by m g / 4 k, 2e-11 m
+
+
 # Orders and comparisons ------------------------------------------------------------------------------------
 
 

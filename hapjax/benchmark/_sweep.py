@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..errors import InputError
 from ..integrate import METHODS
 from ..scene import Scene
 from ..simulate import State, init, step
@@ -18,6 +19,8 @@ from .cases import Case
 REPEATS, LONG = 3, 0.3  # runs shorter than LONG s are repeated, and the best counts
 ROUND = 0.01  # s that a timed call takes at least
 HUGE = 1e3  # an error above it is that of a run that has blown up
+WITNESSES = ("lie_midpoint", "implicit", "semi_implicit")  # by which a truth is extrapolated
+AGREED, LONGEST = 1e-3, 10.0  # in the case's unit, to which two have to agree; s of the longest run for it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,17 +63,21 @@ def when(integrator: str) -> float:
     return 0.5 if integrator == "lie_midpoint" else 1.0
 
 
-def final_state(case: Case, integrator: str) -> tuple[Scene, Callable[[Scene, Any, Any], State]]:
-    """A case's scene and the function (scene, dt, steps) of the last state; the number of steps may be traced."""
+def final_state(case: Case, integrator: str) -> tuple[Scene, Callable[[Scene, Any, Any], tuple[State, Any]]]:
+    """A case's scene and the function (scene, dt, steps) of the last state, and whether a step was lost.
+
+    The number of steps may be traced.
+    """
     scene, part = case.scene(METHODS[integrator]()), when(integrator)
 
-    def final(scene: Scene, dt: Any, steps: Any) -> State:
+    def final(scene: Scene, dt: Any, steps: Any) -> tuple[State, Any]:
         scene = eqx.tree_at(lambda s: s.integrator.dt, scene, dt)
         later = None if case.change is None else case.change(scene)
         begin = (part - 1) * dt
         state = case.start(init(scene, case.hip(begin), None if case.gimbal is None else case.gimbal(begin)))
 
-        def body(i, state):
+        def body(i, carry):
+            state, lost = carry
             now = (
                 scene
                 if later is None
@@ -78,9 +85,10 @@ def final_state(case: Case, integrator: str) -> tuple[Scene, Callable[[Scene, An
             )
             t = (i.astype(dt.dtype) + part) * dt
             gimbal = None if case.gimbal is None else case.gimbal(t)
-            return step(now, state, case.hip(t), gimbal=gimbal)[0]
+            state, reply = step(now, state, case.hip(t), gimbal=gimbal)
+            return state, lost | reply.lost
 
-        return jax.lax.fori_loop(0, steps, body, state)
+        return jax.lax.fori_loop(0, steps, body, (state, jnp.zeros((), bool)))
 
     return scene, final
 
@@ -93,7 +101,8 @@ class Program:
         self.scene, final = final_state(case, integrator)
 
         def measured(scene, dt, steps):
-            return case.measure(final(scene, dt, steps))
+            state, lost = final(scene, dt, steps)
+            return jnp.where(lost, jnp.nan, case.measure(state))
 
         def repeated(scene, dt, steps, rounds):
             # Each round waits for the one before, so that none is left out; no value is so large that it changes dt.
@@ -201,10 +210,49 @@ def _off(slope: np.ndarray, case: Case) -> float:
 
 
 def extrapolated(case: Case, sweep: Sweep) -> tuple[np.ndarray, float]:
-    """The truth by Richardson's extrapolation of the most accurate integrator's finest steps, and its uncertainty."""
-    integrator = "lie_midpoint" if "lie_midpoint" in METHODS else "semi_implicit"
+    """The truth by Richardson's extrapolation of an integrator's finest steps with which another's agrees, and its
+    uncertainty.
+
+    Rigid-stiff contacts forbid some integrators any step that can be run, so each is refined by itself, and only those
+    count that converge without a lost step.
+
+    **Raises:** `InputError` where no two agree to AGREED.
+    """
+    found: dict[str, tuple[np.ndarray, float]] = {}
+    for name in WITNESSES:
+        value, floor = _refined(case, name, steps_of(case.seconds, sweep.dts)[-1])
+        if not floor <= AGREED:
+            found[name] = value, floor
+            continue
+        for known, known_floor in found.values():
+            apart = difference(value, known)
+            if known_floor <= AGREED and apart <= AGREED:
+                pair = [(known_floor, known, floor), (floor, value, known_floor)]
+                own, best, others = min(pair, key=lambda item: item[0])
+                return best, max(own, apart - others)
+        found[name] = value, floor
+    said = ", ".join(f"{name} to {floor:.0e}" for name, (_, floor) in found.items())
+    raise InputError(
+        f"{case.name}: no truth to compare with, for its end by finer and finer steps is certain {said} {case.unit}; "
+        f"allowed: a motion that two integrators know to {AGREED:g} {case.unit}, so softer contacts or a shorter one"
+    )
+
+
+def _refined(case: Case, integrator: str, steps: int) -> tuple[np.ndarray, float]:
+    """What an integrator's runs converge to, extrapolated, and how far the last refinement moved that.
+
+    It starts at about `steps`, or fewer where a step takes long, and goes on as long as the end is not certain to AGREED
+    and a run takes less than LONGEST s.
+    """
     program, order = Program(case, integrator), case.order(integrator).value or 1
-    finest = steps_of(case.seconds, sweep.dts)[-1]
-    first, second, third = (program.run(finest * n)[0] for n in (1, 2, 4))
-    better = [b + (b - a) / (2**order - 1) for a, b in ((first, second), (second, third))]
-    return better[1], difference(better[1], better[0])
+    program.run(2)  # the first call is slower
+    taken = program.run(max(steps // 64, 2))[1] / max(steps // 64, 2)
+    steps = max(int(min(steps, LONGEST / 4 / taken)) // 8 * 8, 8)
+    values = [program.run(n)[0] for n in (steps, 2 * steps, 4 * steps)]
+    while True:
+        better = [b + (b - a) / (2**order - 1) for a, b in zip(values, values[1:], strict=False)]
+        floor = difference(better[1], better[0])
+        steps *= 2
+        if floor <= AGREED or 4 * steps * taken > LONGEST:
+            return better[1], floor
+        values = [*values[1:], program.run(4 * steps)[0]]
