@@ -86,6 +86,7 @@ def fit(
     starts: int = 8,
     spread: float = 2.0,
     seed: int = 0,
+    loss: Literal["squares", "huber", "student"] = "squares",
     bounds: tuple[tuple[str, float, float], ...] = (),
     prior: tuple[tuple[str, float, float], ...] = (),
     each: tuple[str, ...] = (),
@@ -111,6 +112,7 @@ def fit(
         starts: Number of starts, 1 to 10000; the results of all are compared.
         spread: The other starts are off by random factors up to this, 1 or above.
         seed: Of the starts, 0 or above.
+        loss: What is minimised of the residuals; huber or student where some samples are outliers.
         bounds: PATH LOW HIGH of free numbers that are to stay between bounds.
         prior: PATH MEAN SD of free numbers of which something is known; of one above 0 the median, and the standard
             deviation of its logarithm.
@@ -132,7 +134,13 @@ def fit(
         if report is not None:
             check_makeable(report)
         loaded = [load_recording(path, topics) for path in recordings]
-        options: dict[str, Any] = {"observe": observe, "starts": starts, "spread": spread, "seed": seed}
+        options: dict[str, Any] = {
+            "observe": observe,
+            "starts": starts,
+            "spread": spread,
+            "seed": seed,
+            "loss": loss,
+        }
         options |= {"progress": True, "names": [str(path) for path in recordings]}
         options["bounds"] = {path: (low, high) for path, low, high in bounds}
         options["each"] = each

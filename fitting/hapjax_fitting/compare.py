@@ -113,6 +113,10 @@ def compare(
     recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if len(models) < 2:
         raise InputError(f"models has {len(models)}; allowed: at least two")
+    if options.get("loss", "squares") != "squares":
+        raise InputError(
+            f"loss is {options['loss']!r}; allowed with compare: squares, of which its criteria are"
+        )
     chosen = dict(free) if isinstance(free, Mapping) else {name: free for name in models}
     for name in models:
         if name not in chosen:

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from hapjax import InputError, Recording, Scene, cast
 
+from . import robust
 from .breakaway import broken_away, is_static, posterior
 from .findings import findings_of
 from .grip import cost_of_grip, holding_instead, is_needed, largest_ratio, raised, slipping_instead
@@ -53,6 +54,7 @@ def fit(
     spread: float = 2.0,
     seed: int = 0,
     max_steps: int = 100,
+    loss: str = "squares",
     progress: bool = False,
     names: Sequence[str] | None = None,
 ) -> FitResult:
@@ -81,6 +83,7 @@ def fit(
     - `starts`, `spread`, `seed`: how many starts, with windows at most; all but the first off by random factors up to
       `spread`.
     - `max_steps`: solver steps for a start.
+    - `loss`: `squares`; `huber` or `student` where some samples are outliers.
     - `progress`: show the steps on the terminal.
     - `names`: of the recordings, for messages and the report.
 
@@ -95,6 +98,8 @@ def fit(
     names = [f"recording {i + 1}" for i in range(len(recordings))] if names is None else list(names)
     _check(scene, recordings, names, channels)
     _check_numbers(starts, spread, seed, max_steps)
+    if loss not in robust.LOSSES:
+        raise InputError(f"loss is {loss!r}; allowed: {', '.join(robust.LOSSES)}")
     scene = cast(scene, jnp.result_type(float))
     sensors = explicit(sensors or Sensors(), paths_of(scene, free), scene.integrator.dt.dtype)
     scene = made_explicit(scene, paths_of(scene, free))
@@ -109,10 +114,12 @@ def fit(
             groups = grouped(scene, used, channels, called, parameters, sensors)
             size = noise_of(used, noise, scene.integrator.dt.dtype)
             known = priors_of(priors, reported(parameters), scene.integrator.dt.dtype)
-            problem = Problem(scene, groups, size, parameters, sensors, known)
+            problem = Problem(scene, groups, size, parameters, sensors, known, loss=loss)
             _check_count(problem)
             try:
                 ends = _searches(problem, used, starts, spread, seed, max_steps)
+                if loss != "squares":
+                    ends = robust.polished(stacked_residuals, ends, problem)
             except (KeyboardInterrupt, jax.errors.JaxRuntimeError) as error:
                 trace.interrupted |= isinstance(error, KeyboardInterrupt)
                 if not (trace.interrupted and trace.best):
@@ -204,6 +211,9 @@ def _result(
     channels, matrix = channels_of(ends.residuals, problem), ends.jacobian
     size, variance = spread_of(channels, given_noise, problem.fitted())
     typical = float(np.mean(variance))
+    if problem.loss != "squares":
+        typical, variance = robust.spreads(channels, given_noise, problem.loss)
+        matrix = robust.straight(np.asarray(matrix), np.asarray(ends.residuals), len(variance), problem.loss)
     variance = np.concatenate([variance, np.ones(problem.known())])  # priors are believed
     cost, chance = cost_of_grip(free, problem), NOTICEABLE * typical
     said, shown = problem.reported, problem.report(free)

@@ -17,6 +17,7 @@ from .breakaway import is_static
 from .problem import Problem, by_channel
 from .report import digits
 from .result import FitResult
+from .robust import rooted
 from .section import Images, Section
 from .solve import jacobian
 
@@ -174,7 +175,7 @@ _logdensity.defvjp(_forward, _backward)
 def _rows(free: Float[Array, " p"], args: Any) -> Float[Array, " n"]:
     """The residuals in standard deviations of what they turned out to be, and those of priors, which are believed."""
     variance, problem = args
-    found = [r.ravel() / jnp.sqrt(variance) for _, r in by_channel(free, problem)]
+    found = [rooted(r.ravel(), problem.loss) / jnp.sqrt(variance) for _, r in by_channel(free, problem)]
     if problem.priors is not None:
         found.append(problem.priors.residuals(problem.reported, problem.report(free)))
     return jnp.concatenate(found)

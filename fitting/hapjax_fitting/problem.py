@@ -15,6 +15,7 @@ from hapjax import Recording, Scene
 from .observation import PERFECT, Noise, Observation, observation_of, residuals
 from .parameters import Parameter, moves_surface, report, reported, values_of, with_values
 from .priors import Priors
+from .robust import rooted, unrooted
 from .sensors import Sensors, Setup
 from .solve import half_square
 from .spells import spells_of
@@ -33,6 +34,7 @@ class Problem(eqx.Module):
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
     sensors: Sensors = eqx.field(default_factory=Sensors)
     priors: Priors | None = None
+    loss: str = eqx.field(static=True, default="squares")
 
     @property
     def apart(self) -> bool:
@@ -117,8 +119,8 @@ def grouped(
 
 
 def stacked_residuals(free: Float[Array, " p"], problem: Problem) -> Float[Array, " n"]:
-    """All whitened residuals in one vector; those of priors come last."""
-    found = [r.ravel() for _, r in by_channel(free, problem)]
+    """All whitened residuals in one vector, half the square of which is the loss; those of priors come last."""
+    found = [rooted(r.ravel(), problem.loss) for _, r in by_channel(free, problem)]
     if problem.priors is not None:
         found.append(problem.priors.residuals(problem.reported, problem.report(free)))
     return jnp.concatenate(found)
@@ -142,7 +144,7 @@ def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Fl
 def channels_of(stacked: Float[Any, " n"], problem: Problem) -> list[tuple[str, Float[np.ndarray, "_ _ _"]]]:
     """The residuals in one vector, taken apart again as `by_channel` has them; without those of priors."""
     found, begin = [], 0
-    stacked = np.asarray(stacked)
+    stacked = unrooted(np.asarray(stacked), problem.loss)
     for group in problem.groups:
         for key, samples in (("force", group.force), ("position", group.pose), ("angle", group.pose)):
             if samples is None:
