@@ -444,6 +444,34 @@ def test_gradients_are_those_of_differences(local):
     assert all(np.any(np.asarray(leaf) != 0) for leaf in forward)
 
 
+@pytest.mark.parametrize("shaded", [False, True])
+def test_what_a_finger_feels_has_the_gradients_of_differences(shaded):
+    """By the vertices, the size, the place and the turn of a mesh, and by mu, after a press and a slide."""
+    vertices, triangles = icosphere(1, 0.04)
+    mesh = hapjax.Mesh(vertices, triangles, shaded=shaded)
+    inward = np.array([0.3, 0.4, 0.5]) / np.linalg.norm([0.3, 0.4, 0.5])
+    along = np.cross(inward, [0, 0, 1])
+    depth, slid = np.linspace(0.052, 0.036, 12)[:, None], np.linspace(0, 12e-3, 12)[:, None]
+    path = jnp.asarray(depth * inward + slid * along)
+    way = jnp.asarray(np.random.default_rng(0).normal(size=vertices.shape) * 1e-3)
+
+    @jax.jit
+    def feels(numbers):
+        moved = mesh.moved(mesh.vertices + numbers[0] * way)
+        moved = eqx.tree_at(lambda m: m.scale, moved, 1 + numbers[1])
+        turn = hapjax.rotation.from_rotation_vector(numbers[5:8])
+        it = hapjax.Object(moved, hapjax.Surface(800.0, mu=0.3 + numbers[8]), None, numbers[2:5], turn)
+        return forces(hapjax.Scene({"it": it}), path)[-1]
+
+    at, h = jnp.zeros(9), 1e-6
+    forward, reverse = jax.jacfwd(feels)(at), jax.jacrev(feels)(at)
+    np.testing.assert_allclose(forward, reverse, atol=1e-9)
+    for i in range(9):
+        sides = feels(at.at[i].add(h)), feels(at.at[i].add(-h))
+        np.testing.assert_allclose(forward[:, i], (sides[0] - sides[1]) / (2 * h), rtol=1e-5, atol=1e-4)
+    assert np.all(np.any(np.asarray(forward) != 0, axis=0))
+
+
 # The price ------------------------------------------------------------------------------------------------
 
 

@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -135,31 +136,37 @@ def topology(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Topolog
     return Topology(*(jnp.asarray(part, dtype) for part in parts))
 
 
-def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Baerentzen and Aanaes 2005: the sum of the normals about a vertex, each times its triangle's angle there."""
+def vertex_normals(vertices: Any, triangles: Any) -> Any:
+    """Baerentzen and Aanaes 2005: the sum of the normals about a vertex, each times its triangle's angle there.
+
+    In NumPy of NumPy's arrays; of JAX's, with their derivatives.
+    """
+    xp = jnp if isinstance(vertices, jax.Array) else np
     normals = _area_normals(vertices, triangles)
-    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    total = np.zeros_like(vertices)
+    normals = normals / xp.linalg.norm(normals, axis=1, keepdims=True)
+    each = []
     for i in range(3):
         a, b, c = (vertices[triangles[:, (i + j) % 3]] for j in range(3))
-        sine = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        angle = np.arctan2(sine, np.sum((b - a) * (c - a), axis=1))
-        np.add.at(total, triangles[:, i], angle[:, None] * normals)
-    size = np.linalg.norm(total, axis=1, keepdims=True)
-    first = normals[np.clip(_first_fan(triangles, len(vertices)), 0, None)]
-    return np.where(size > 1e-9, total / np.where(size > 1e-9, size, 1), first)
+        sine = xp.linalg.norm(xp.cross(b - a, c - a), axis=1)
+        angle = xp.arctan2(sine, xp.sum((b - a) * (c - a), axis=1))
+        each.append(angle[:, None] * normals)
+    weighted, corner = xp.stack(each, axis=1).reshape(-1, 3), triangles.reshape(-1)
+    if xp is jnp:
+        total = jnp.zeros_like(vertices).at[corner].add(weighted)
+        first = normals[jnp.zeros(len(vertices), int).at[corner].set(jnp.arange(len(corner)) // 3)]
+    else:
+        total, of = np.zeros_like(vertices), np.zeros(len(vertices), int)
+        np.add.at(total, corner, weighted)
+        of[corner] = np.arange(len(corner)) // 3
+        first = normals[of]
+    square = xp.sum(total * total, axis=1, keepdims=True)
+    thin = square < 1e-18
+    return xp.where(thin, first, total / xp.sqrt(xp.where(thin, 1, square)))
 
 
-def _first_fan(triangles: np.ndarray, count: int) -> np.ndarray:
-    """A triangle of each vertex, -1 where it has none."""
-    first = np.full(count, -1)
-    first[triangles.ravel()] = np.repeat(np.arange(len(triangles)), 3)
-    return first
-
-
-def _area_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def _area_normals(vertices: Any, triangles: Any) -> Any:
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    return np.cross(b - a, c - a)
+    return (jnp if isinstance(vertices, jax.Array) else np).cross(b - a, c - a)
 
 
 def _edge_keys(triangles: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from ._planes import corner_of, frozen, holding
 from ._shape import Corner, Edges, Shape, SurfacePoint, Track, begin, ease
 from ._solid import Solid, solid_of
 from ._table import rows
-from ._topology import Topology, checked, topology
+from ._topology import Topology, checked, topology, vertex_normals
 from ._touching import Touching, touching_of
 from ._tree import Tree, nearest, tree_of
 from ._triangle import dot, nearest_part, nearest_point, weights
@@ -102,10 +102,12 @@ class Mesh(Shape):
         check_number("vertices", vertices, "three finite numbers a vertex", shape=self.vertices.shape)
         if is_traced(vertices):
             corners = vertices[self.triangles]
+            patches = self.topology.patches.at[:, :3].set(corners)
+            normals = vertex_normals(vertices, self.triangles)
             return eqx.tree_at(
-                lambda mesh: (mesh.vertices, mesh.solid, mesh.topology.patches),
+                lambda mesh: (mesh.vertices, mesh.solid, mesh.topology.patches, mesh.topology.vertex_normals),
                 self,
-                (vertices, solid_of(corners), self.topology.patches.at[:, :3].set(corners)),
+                (vertices, solid_of(corners), patches, normals),
             )
         vertices = jnp.asarray(vertices, self.vertices.dtype)
         points, faces = checked(vertices, self.triangles, float(self.scale))
