@@ -37,12 +37,12 @@ def fitted(**options):
 def test_an_interrupted_fit_keeps_the_best_so_far(monkeypatch, progress, capfd):
     whole = fitted()
     steps = sum(map(len, whole.trace.values()))
-    count = interrupting(monkeypatch, at=6)
+    count = interrupting(monkeypatch, at=4)
     result = fitted(progress=progress)
     assert count[0] < steps and not result.converged and result.interrupted
     assert result.reason == f"interrupted after {count[0]} steps"
     assert result.loss == pytest.approx(min(result.trace[0].values()), rel=1e-9)
-    assert whole.loss <= result.loss < result.trace[0][0]
+    assert whole.loss * (1 - 1e-9) <= result.loss < result.trace[0][0]
     assert result.parameters[MU].estimate != whole.parameters[MU].estimate
     assert "Not converged: interrupted after" in str(table(result).caption)
     assert "Traceback" not in "".join(capfd.readouterr())
@@ -74,7 +74,7 @@ def test_a_handler_of_the_programs_own_is_left_alone(monkeypatch):
 def test_the_command_line_writes_what_it_has(tmp_path, monkeypatch, capsys):
     recorded(floor()).save(tmp_path / "stroke.npz")
     hapjax.save_scene(floor(0.9, 500.0), tmp_path / "scene.toml")
-    interrupting(monkeypatch, at=6)
+    interrupting(monkeypatch, at=4)
     files = ["--json", str(tmp_path / "fit.json"), "--report", str(tmp_path / "report")]
     arguments = ["--scene", str(tmp_path / "scene.toml"), "--free", *BOTH, "--starts", "2", *files]
     assert main(["fit", str(tmp_path / "stroke.npz"), *arguments]) == 130
