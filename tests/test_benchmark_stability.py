@@ -10,6 +10,7 @@ import pytest
 import hapjax
 from hapjax import Body, Box, Contact, InputError, Object, Plane, Scene, Sphere, World
 from hapjax.benchmark import stability_loop as loop
+from hapjax.benchmark import stability_press as touch
 from hapjax.benchmark import stability_scene as own
 from hapjax.benchmark.stability_cells import BASE, BLOWN_UP, RINGING, SETTLED, programs
 from hapjax.benchmark.stability_maps import MAPS, explicit_limit, unsettled
@@ -204,6 +205,26 @@ def test_the_recommendation_is_the_substeps_that_the_explicit_limit_asks_for(tmp
     best = next(c for c in choices if c["margin"] >= 1)
     assert best["substeps"] in (2, 4)
     assert f"substeps = {best['substeps']}" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.slow
+def test_the_recommendation_bears_the_press_of_two_fingers(monkeypatch):
+    """On soft contacts a cube of 10 g needs no substeps. Between two fingers of k = 1e6 N/m it swings by w^2 = 2 k / m, so
+    steps have to be below 2 / w = 141 us: 8 substeps of 1 ms at the least."""
+    surface = hapjax.Surface(1e6, mu=0.6)
+    cube = Object(Box((0.04,) * 3), surface, Body(0.01), position=(0.0, 0.0, 0.02))
+    floor = Contact(500.0, mu=0.5, damping=1.0, between=("cube", "floor"))
+    scene = hapjax.cast(
+        scene_of(object={"cube": cube, "floor": Object(Plane())}, contact={"on_floor": floor}), jnp.float64
+    )
+    begin, end = touch.fingers(scene)
+    np.testing.assert_allclose(begin[:, 0], [-0.021, 0.021], atol=1e-6)
+    np.testing.assert_allclose(np.abs(end[:, 0]), 0.02 - 1e-6, atol=1e-8)  # 1 N
+    monkeypatch.setattr(own, "DTYPES", ("float64",))
+    monkeypatch.setattr(touch, "rested", lambda scene: scene)  # as it is, near enough
+    found = own.recommend(scene, own.scaled_map(scene), ["semi_implicit"], 1000.0, 2)
+    assert [c.pressed for c in found[:3]] == [BLOWN_UP] * 3 and found[0].margin >= 1
+    assert own.cheapest(found) == found[-1] and found[-1].substeps in (8, 16)
 
 
 def test_surfaces_alone_need_no_simulation(tmp_path, capsys):

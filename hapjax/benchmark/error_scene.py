@@ -109,14 +109,14 @@ def operator(scene: Scene, fingers: int, rate: float) -> np.ndarray:
     for i, side in enumerate(sides):
         if fingers == 1:
             spot, inward, force = (
-                _spot(scene, name, np.array([0, 0, 1.0]), np.zeros(3)),
+                spot_of(scene, name, np.array([0, 0, 1.0]), np.zeros(3)),
                 -np.eye(3)[2],
                 weight / 2,
             )
         else:
             row = [j for j in range(fingers) if sides[j] == side]
             across = np.array([0, 0.5 * ((row.index(i) + 0.5) / len(row) - 0.5) * _width(scene, name), 0])
-            spot, inward = _spot(scene, name, np.array([side, 0, 0]), across), np.array([-side, 0, 0])
+            spot, inward = spot_of(scene, name, np.array([side, 0, 0]), across), np.array([-side, 0, 0])
             force = 0.75 * weight / max(mu, 0.1) / len(row)
         depth = np.interp(t, [0.0, 0.2], [-GAP, force / float(surface.stiffness)])
         along = np.eye(3)[0] if fingers == 1 else np.eye(3)[2]
@@ -182,7 +182,7 @@ def _gyration(scene: Scene, name: str, body: Body):
     return jnp.sqrt(trace / (3 * body.mass))
 
 
-def _spot(scene: Scene, name: str, side: np.ndarray, across: np.ndarray) -> np.ndarray:
+def spot_of(scene: Scene, name: str, side: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Where a ray from `side` towards the object's origin, moved by `across` (m), meets its surface; m, world frame."""
     thing = scene.object[name]
     matrix, place = rotation.to_matrix(rotation.normalise(thing.orientation)), np.asarray(thing.position)
@@ -204,5 +204,5 @@ def _spot(scene: Scene, name: str, side: np.ndarray, across: np.ndarray) -> np.n
 
 def _width(scene: Scene, name: str) -> float:
     """How wide (m) the object is in y."""
-    ends = [_spot(scene, name, np.array([0, side, 0]), np.zeros(3))[1] for side in (1.0, -1.0)]
+    ends = [spot_of(scene, name, np.array([0, side, 0]), np.zeros(3))[1] for side in (1.0, -1.0)]
     return float(ends[0] - ends[1])

@@ -125,20 +125,20 @@ def _live(build: Callable[[Numbers], Start], numbers: Numbers, dt: Float[Array, 
     hip = jnp.full((1, 3), AWAY, dt.dtype)
     gimbal = jnp.zeros(1, dt.dtype) if scene.torsion is not None and scene.torsion.needs_gimbal else None
     heights = {name: _height(scene, motion) for name, motion in state.motion.items()}
-    first = _energy(scene, state, heights) + _stored(scene, state, hip, gimbal)
-    scale = first + sum(_scale(scene, name) for name in state.motion)
+    first = energy(scene, state, heights) + _stored(scene, state, hip, gimbal)
+    scale = first + sum(scale_of(scene, name) for name in state.motion)
 
     def body(i, carry):
         state, loud, peak, broken = carry
         state, reply = step(scene, state, hip, dt, gimbal)
         noise = jnp.max(jnp.stack([_noise(scene, state, name) for name in state.motion]))
         loud = jnp.where(noise < QUIET, loud, i + 1)
-        energy = _energy(scene, state, heights)
-        return state, loud, jnp.maximum(peak, energy), broken | reply.lost
+        now = energy(scene, state, heights)
+        return state, loud, jnp.maximum(peak, now), broken | reply.lost
 
     start = (state, jnp.zeros((), jnp.int32), jnp.zeros_like(dt), jnp.zeros((), bool))
     state, loud, peak, broken = jax.lax.fori_loop(0, count, body, start)
-    lost = _energy(scene, state, None) > WILD * scale  # still falling, at the end
+    lost = energy(scene, state, None) > WILD * scale  # still falling, at the end
     return loud, peak / scale, broken | lost | (peak > WILD * scale)
 
 
@@ -152,10 +152,10 @@ def _noise(scene: Scene, state: State, name: str) -> Float[Array, ""]:
     if motion.spin is not None:
         tilt = motion.spin if up is None else motion.spin - jnp.sum(motion.spin * up) * up
         energy = jnp.maximum(energy, _turning(scene, name, motion.orientation, tilt))
-    return energy / _scale(scene, name)
+    return energy / scale_of(scene, name)
 
 
-def _energy(scene: Scene, state: State, heights: Mapping[str, Any] | None) -> Float[Array, ""]:
+def energy(scene: Scene, state: State, heights: Mapping[str, Any] | None) -> Float[Array, ""]:
     """Kinetic energy, and that of height above `heights`, J."""
     total = jnp.zeros((), dtype_of(scene))
     for name, motion in state.motion.items():
@@ -189,7 +189,7 @@ def _stored(scene: Scene, state: State, hip, gimbal) -> Float[Array, ""]:
     return total
 
 
-def _scale(scene: Scene, name: str) -> Float[Array, ""]:
+def scale_of(scene: Scene, name: str) -> Float[Array, ""]:
     """m g L, J: L, m, is the edge of the uniform cube with the same trace of inertia over mass, m L^2 / 2."""
     thing = scene.object[name]
     assert thing.body is not None

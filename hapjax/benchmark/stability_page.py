@@ -69,10 +69,21 @@ def loop_rows(limits: Sequence[Limit]) -> tuple[list[str], list[list[str]]]:
 def choice_rows(choices: Sequence[Choice], rate: float) -> tuple[list[str], list[list[str]]]:
     """The integrators and substeps that were tried on the user's scene, cheapest first."""
     rows = [
-        [c.integrator, str(c.substeps), f"{c.step_us:.1f}", "yes" if c.margin >= 1 else "no", f"{c.margin:g}"]
+        [
+            *(c.integrator, str(c.substeps), f"{c.step_us:.1f}"),
+            *("yes" if c.settles else "no", f"{c.margin:g}", c.pressed or "not felt"),
+        ]
         for c in choices
     ]
-    return ["integrator", "substeps", f"us a step at {rate:g} Hz", "settles", "up to stiffness times"], rows
+    header = [
+        "integrator",
+        "substeps",
+        f"us a step at {rate:g} Hz",
+        "settles",
+        "up to stiffness times",
+        "pressed",
+    ]
+    return header, rows
 
 
 def wall_rows(walls: Sequence[Wall]) -> tuple[list[str], list[list[str]]]:
@@ -86,9 +97,11 @@ def advice(choices: Sequence[Choice], rate: float) -> str:
     best = cheapest(choices)
     if best is None:
         return f"At {rate:g} Hz the scene settles with none of the integrators and substeps tried."
+    pressed = "also between two fingers, " if best.pressed else ""
     return (
         f"At {rate:g} Hz the cheapest that settles is {best.integrator} with substeps = {best.substeps}: "
-        f"{best.step_us:.1f} us a step, and contacts up to {best.margin:g} times as stiff settle too."
+        f"{best.step_us:.1f} us a step, "
+        f"{pressed}and contacts up to {best.margin:g} times as stiff settle too."
     )
 
 

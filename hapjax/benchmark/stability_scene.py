@@ -14,23 +14,32 @@ from ..errors import InputError
 from ..integrate import METHODS
 from ..scene import Scene, cast
 from ..simulate import init
+from . import stability_press as touch
 from ._timing import compiled, step_us
-from .stability_cells import AWAY, BASE, SECONDS, SETTLED, Numbers, Start, programs
+from .stability_cells import AWAY, BASE, BLOWN_UP, RINGING, SECONDS, SETTLED, Numbers, Start, programs
 from .stability_loop import passive_stiffness
 from .stability_maps import DTYPES, Map, decades
 
 NUDGE, TURN = 0.1, 1.0  # m/s down and rad/s about a horizontal axis, of every object at the start
 SUBSTEPS = (1, 2, 4, 8, 16, 32, 64)
+WORSE = (SETTLED, RINGING, BLOWN_UP)
 
 
 class Choice(NamedTuple):
     """An integrator with substeps: `step_us` of a step of the scene in a compiled loop; `margin`, by which factor its
-    contacts could be stiffer. Below 1 the scene does not settle as it is; 0: nor with any softer contacts tried."""
+    contacts could be stiffer. Below 1 the scene does not settle as it is; 0: nor with any softer contacts tried.
+    `pressed`: the worse verdict, of float64's and float32's, on its objects between two fingers; empty: none is felt."""
 
     integrator: str
     substeps: int
     step_us: float
     margin: float
+    pressed: str = ""
+
+    @property
+    def settles(self) -> bool:
+        """Whether it settles by itself, and between fingers."""
+        return self.margin >= 1 and self.pressed in ("", SETTLED)
 
 
 class Wall(NamedTuple):
@@ -73,11 +82,13 @@ def recommend(
     """Each integrator with substeps at `rate` (Hz), up to as many as it takes; the cheapest first; needs 64-bit numbers on.
 
     `one` is the scene's map. The scene settles where it does in float64 and in float32, with its own stiffness and with all
-    softer ones of the map. N substeps cost N times a step without.
+    softer ones of the map, and where two fingers press each object that they feel. N substeps cost N times a step without.
     """
     choices = []
+    rest = touch.rested(cast(scene, jnp.float64)) if touch.touched(scene) else None
     for method in integrators:
         cost = _step_us(scene, method, fingers)
+        presses = [] if rest is None else [touch.press(rest, method, dtype) for dtype in DTYPES]
         for n in SUBSTEPS:
             margin = np.inf
             for dtype in DTYPES:
@@ -87,8 +98,9 @@ def recommend(
                 )
                 margin = min(margin, _margin(one.values, found.verdict))
                 advance(f"{method}, {dtype}, {n} substeps", SECONDS * rate * n)
-            choices.append(Choice(method, n, cost * n, margin))
-            if margin >= 1:
+            pressed = max((press(1 / (rate * n)) for press in presses), key=WORSE.index, default="")
+            choices.append(Choice(method, n, cost * n, margin, pressed))
+            if choices[-1].settles:
                 break
     return sorted(choices, key=lambda choice: choice.step_us)
 
@@ -100,7 +112,7 @@ def recommend_work(integrators: Sequence[str], rate: float) -> float:
 
 def cheapest(choices: Sequence[Choice]) -> Choice | None:
     """The first that settles; `None`: none does."""
-    return next((choice for choice in choices if choice.margin >= 1), None)
+    return next((choice for choice in choices if choice.settles), None)
 
 
 def walls(scene: Scene, rate: float) -> list[Wall]:
