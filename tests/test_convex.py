@@ -137,6 +137,15 @@ def test_everything_that_is_wrong_is_said_at_once():
         hapjax.Mesh(vertices, np.concatenate([triangles[1:], triangles[4:5]]))
 
 
+def test_a_turned_triangle_is_no_hole():
+    vertices, triangles = notched()
+    turned = np.concatenate([triangles[:1, ::-1], triangles[1:]])
+    with pytest.raises(
+        hapjax.InputError, match="^4 of the triangles have an edge that another [^;]*; allowed"
+    ):
+        hapjax.Mesh(vertices, turned)
+
+
 def _two(second, away, inward):
     """A cube of 40 mm and another one, of which the second may be turned inside out."""
     first, triangles = voxels([(0, 0, 0)], 0.04)
@@ -151,5 +160,6 @@ def test_each_piece_of_a_surface_faces_outward_and_a_cavity_inward():
     assert hollow.volume() == pytest.approx(0.04**3 - 0.02**3)
     with pytest.raises(hapjax.InputError, match="12 of the triangles face inward, the first is 12"):
         hapjax.Mesh(*_two(0.02, 0.1, inward=True))
-    with pytest.raises(hapjax.InputError, match="12 of the triangles face inward"):
-        hapjax.Mesh(*_two(0.02, 0.01, inward=False))
+    for size, away in ((0.02, 0.01), (0.04, 0.01)):  # whole within, and overlapping
+        with pytest.raises(hapjax.InputError, match="12 of the triangles are within another piece"):
+            hapjax.Mesh(*_two(size, away, inward=False))

@@ -444,6 +444,7 @@ def test_gradients_are_those_of_differences(local):
     assert all(np.any(np.asarray(leaf) != 0) for leaf in forward)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shaded", [False, True])
 def test_what_a_finger_feels_has_the_gradients_of_differences(shaded):
     """By the vertices, the size, the place and the turn of a mesh, and by mu, after a press and a slide."""
@@ -451,8 +452,9 @@ def test_what_a_finger_feels_has_the_gradients_of_differences(shaded):
     mesh = hapjax.Mesh(vertices, triangles, shaded=shaded)
     inward = np.array([0.3, 0.4, 0.5]) / np.linalg.norm([0.3, 0.4, 0.5])
     along = np.cross(inward, [0, 0, 1])
-    depth, slid = np.linspace(0.052, 0.036, 12)[:, None], np.linspace(0, 12e-3, 12)[:, None]
-    path = jnp.asarray(depth * inward + slid * along)
+    radius = np.r_[np.linspace(0.046, 0.036, 6), np.full(6, 0.036)][:, None]
+    slid = np.r_[np.zeros(6), np.linspace(1e-3, 6e-3, 6)][:, None]
+    path = jnp.asarray(radius * inward + slid * along)
     way = jnp.asarray(np.random.default_rng(0).normal(size=vertices.shape) * 1e-3)
 
     @jax.jit

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -59,21 +60,24 @@ def test_a_stack_of_three_cubes_stands_for_ten_seconds(yaw, offset):
 
 
 @pytest.mark.slow
-def test_two_fingers_that_lift_the_lowest_cube_carry_all_three():
-    scene = stack()
+@pytest.mark.parametrize(("dtype", "aside"), [(jnp.float64, 0.0), (jnp.float64, 1e-3), (jnp.float32, 1e-3)])
+def test_two_fingers_that_lift_the_lowest_cube_carry_all_three(dtype, aside):
+    """With fingers that hold in twist: about the line of two points a stack is a pendulum upside down."""
+    scene = eqx.tree_at(lambda s: s.torsion, stack(), hapjax.GravityDrop(1e-7), is_leaf=lambda x: x is None)
+    scene = hapjax.cast(scene, dtype)
     t = np.arange(4000) / 1000
     squeeze = EDGE / 2 - 4e-3 * np.clip(t / 0.5, 0, 1)
     height = EDGE / 2 + 0.03 * np.clip((t - 1) / 1, 0, 1)
     hips = np.stack(
-        [np.stack([x, 0 * t, height], axis=-1) for x in (squeeze + 1e-3, -squeeze - 1e-3)], axis=1
+        [np.stack([x, 0 * t + aside, height], axis=-1) for x in (squeeze + 1e-3, -squeeze - 1e-3)], axis=1
     )
-    state, replies = hapjax.rollout(scene, hapjax.init(scene, hips[0]), jnp.asarray(hips))
+    state, replies = hapjax.rollout(scene, hapjax.init(scene, hips[0]), jnp.asarray(hips, dtype))
     assert np.asarray(replies.contact["on_floor"].normal_force[-1]).sum() == 0  # off the floor
     lifted = np.asarray(replies.pose)[-1, :, 2] - np.asarray(replies.pose)[900, :, 2]
     assert lifted == pytest.approx(np.full(3, 0.03), abs=2e-3)
     pull = np.asarray(replies.force)[-1, :, 2]
-    assert pull.sum() == pytest.approx(-3 * MASS * G, rel=1e-3)
-    assert replies.contact["cube1_on"].normal_force[-1].sum() == pytest.approx(2 * MASS * G, rel=1e-3)
+    assert pull.sum() == pytest.approx(-3 * MASS * G, rel=2e-3)
+    assert replies.contact["cube1_on"].normal_force[-1].sum() == pytest.approx(2 * MASS * G, rel=5e-3)
 
 
 # Rolling --------------------------------------------------------------------------------------------------

@@ -82,18 +82,22 @@ def _refuse_surface(points: np.ndarray, faces: np.ndarray, scale: float) -> None
         (np.searchsorted(flat, key, "right") - np.searchsorted(flat, key) > 1).any(axis=1),
         "have an edge that another triangle has in the same direction (the winding is not consistent)",
     )
-    find(~np.isin(back, flat).all(axis=1), "are beside a hole (the surface is not watertight)")
+    either = np.minimum(key, back)
+    ends = np.sort(either.ravel())
+    alone = np.searchsorted(ends, either, "right") - np.searchsorted(ends, either) < 2
+    find(alone.any(axis=1), "are beside a hole (the surface is not watertight)")
     if not found:
-        find(_faces_inward(points, faces), "face inward")
+        outside = _winding_outside(points, faces)
+        find(outside < -0.5, "face inward")
+        find(outside > 0.5, "are within another piece (pieces overlap, or a cavity is not turned inside out)")
     if found:
         raise InputError(f"{'; '.join(found)}; {_ALLOWED}")
 
 
-def _faces_inward(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The triangles of those connected pieces of a closed surface that have the solid on their outer side.
+def _winding_outside(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """How often the surface goes around the outer side of each triangle, told by the largest one of its connected piece.
 
-    Beside the largest triangle of each piece, a little outward: there the winding number is 0 of a sound surface, also
-    in a cavity.
+    0 of a sound surface, also in a cavity; below 0 where the solid is on that side, above 0 within another piece.
     """
     from scipy.sparse import coo_matrix  # here, since it takes a while to load
     from scipy.sparse.csgraph import connected_components
@@ -104,13 +108,13 @@ def _faces_inward(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     piece = connected_components(graph, directed=False)[1][faces[:, 0]]
     normals = _area_normals(points, faces)
     size = np.linalg.norm(normals, axis=1)
-    bad = np.zeros(len(faces), bool)
+    found = np.zeros(len(faces))
     for label in np.unique(piece):
         own = np.flatnonzero(piece == label)
         largest = own[np.argmax(size[own])]
         step = 1e-4 * np.sqrt(size[largest]) * normals[largest] / size[largest]
-        bad[own] = abs(_winding(points[faces] - points[faces[largest]].mean(axis=0) - step)) > 0.5
-    return bad
+        found[own] = _winding(points[faces] - points[faces[largest]].mean(axis=0) - step)
+    return found
 
 
 def _winding(corners: np.ndarray) -> float:

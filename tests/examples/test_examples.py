@@ -43,6 +43,10 @@ CLAIMS = {
         (rf"let go: swept {NUMBER} deg", 175, 181),
         (rf"pivot form: .* at most {NUMBER} mm off", 0, 0.4),
     ],
+    "lifted_stack": [
+        (rf"pull at the end: {NUMBER} N", 1.468, 1.475),
+        (rf"cube1 on cube0: {NUMBER}", 1.99, 2.01),
+    ],
     "friction_cone": [(rf"at most {NUMBER}, with", 0.59, 0.6), (rf"{NUMBER} slips", 3, 1e3)],
     "dead_band": [
         (rf"50 Hz: in the last half turns by {NUMBER}", 10, 181),
