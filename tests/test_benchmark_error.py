@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import hapjax
 from hapjax import cli
-from hapjax.benchmark import _mujoco, _order, _sweep, error, error_scene
+from hapjax.benchmark import _error_page, _mujoco, _order, _sweep, error, error_scene
 from hapjax.benchmark._sweep import Point, Program
 from hapjax.benchmark.cases import CASES, _springs, ball, disc, rod, sliding, top
 from hapjax.integrate import METHODS
@@ -199,6 +199,19 @@ def test_mujocos_model_has_the_same_truth(name, steps, within):
     assert _sweep.difference(value, case.truth()) < within
 
 
+def test_mujocos_pass_against_slip_runs_where_a_case_holds():
+    pytest.importorskip("mujoco")
+    case = KNOWN["incline_hold"]
+    assert {name for name in CASES if _mujoco.NOSLIP in _mujoco.variants(KNOWN[name])} == {
+        "incline_hold",
+        "lift_hold",
+    }
+    slips, holds = (
+        np.linalg.norm(_mujoco.Model(case, case.mujoco, name).run(1000, 1)[0]) for name in ("Euler", "noslip")
+    )
+    assert holds < 1e-15 < 1e-6 < slips
+
+
 def test_mujoco_blowing_up_is_told_and_leaves_no_file(tmp_path, monkeypatch, capfd):
     pytest.importorskip("mujoco")
     monkeypatch.chdir(tmp_path)
@@ -247,6 +260,25 @@ def test_an_order_is_fitted_to_the_finest_steps_above_the_noise():
     assert _order.fitted_order(dts[:3], [1.0, np.inf, None], 1.0, 0.0) is None
     # A step's rounding counts: 1e5 of them to 2e-10, and thrice that.
     assert _order.fitted_order([1e-5] * 3, [6e-10] * 3, 1.0, 0.0) is None
+
+
+def test_which_steps_are_run_does_not_depend_on_the_machine():
+    sweep = _sweep.Sweep([1e-2, 1e-3, 1e-4], [], 0, 4995, gradients=False)
+    assert [sweep.is_too_long("implicit", n) for n in (999, 1000)] == [False, True]
+    (coarse, fine), _ = _sweep.curve(KNOWN["sink"], "semi_implicit", None, KNOWN["sink"].truth(), sweep)
+    assert fine.dt == pytest.approx(1e-3) and coarse.dt == pytest.approx(1e-2)
+
+
+def test_why_a_side_is_ahead_is_said_by_the_orders_that_were_measured():
+    def why(ours, theirs):
+        point = {"dt": 1e-3, "error": 1e-3, "law_error": 1e-3}
+        curves = {"implicit": {"order": ours, "points": [point]}, "MuJoCo RK4": {"order": theirs}}
+        best = {"integrator": "implicit", "dt": 1e-3}, {"integrator": "RK4", "dt": 1e-3}
+        row = {"factor": 2.0, "hapjax": best[0], "mujoco": best[1]}
+        return _error_page.why({"has_law": False, "curves": curves}, row)
+
+    assert why(0.97, 2.01) == "MuJoCo's RK4 converges here with order 2.0, hapjax's best with 1.0"
+    assert why(0.97, 1.02) == why(None, 4.0) == "the larger error at an equal step"
 
 
 def points(*pairs):

@@ -12,6 +12,16 @@ from ._sweep import LONG, REPEATS, Point, Sweep, difference, mean_square, neighb
 from .cases import Case, Mujoco
 
 INTEGRATORS = {"Euler": "mjINT_EULER", "implicitfast": "mjINT_IMPLICITFAST", "RK4": "mjINT_RK4"}
+NOSLIP, NOSLIP_ITERATIONS = (
+    "noslip",
+    10,
+)  # Euler, and then MuJoCo's pass that takes the slip out of what holds
+
+
+def variants(case: Case) -> list[str]:
+    """MuJoCo's integrators, and `noslip` where a case is about holding."""
+    holds = isinstance(case.mujoco, Mujoco) and case.mujoco.holds
+    return [*INTEGRATORS, NOSLIP] if holds else [*INTEGRATORS]
 
 
 class Model:
@@ -20,7 +30,10 @@ class Model:
     def __init__(self, case: Case, spec: Mujoco, integrator: str):
         self.case, self.spec, self.mujoco = case, spec, need("mujoco", "bench")
         self.model = self.mujoco.MjModel.from_xml_string(spec.xml)
-        self.model.opt.integrator = getattr(self.mujoco.mjtIntegrator, INTEGRATORS[integrator])
+        if integrator == NOSLIP:
+            self.model.opt.noslip_iterations = NOSLIP_ITERATIONS
+        rule = INTEGRATORS["Euler" if integrator == NOSLIP else integrator]
+        self.model.opt.integrator = getattr(self.mujoco.mjtIntegrator, rule)
         # A run that has blown up is to be seen, and not started again.
         self.model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.data = self.mujoco.MjData(self.model)
@@ -99,11 +112,11 @@ class Model:
 
 
 def curve(case: Case, integrator: str, counts: Sequence[int], law: np.ndarray, sweep: Sweep) -> list[Point]:
-    """The points of one integrator, coarsest first, as long as runs are short."""
+    """The points of one integrator, coarsest first, up to the sweep's most steps."""
     assert isinstance(case.mujoco, Mujoco)
     model, points = Model(case, case.mujoco, integrator), []
     for steps in counts:
-        if points and sweep.is_too_long(points[-1], steps):
+        if sweep.is_too_long("MuJoCo", steps):
             break
         _, taken = model.run(steps)
         values = [model.run(n, 1)[0] for n in neighbours(steps, sweep.around)]

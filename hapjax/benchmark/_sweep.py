@@ -40,22 +40,24 @@ class Point:
 @dataclasses.dataclass(frozen=True)
 class Sweep:
     """How much is run: hapjax's and MuJoCo's `dts` (s), `around` further numbers of steps whose errors are averaged
-    with each, the `longest` run in s, and whether `gradients` are run too.
+    with each, the `most` steps of a run, and whether `gradients` are run too.
+
+    Steps are counted, not timed: which dt are run, and so the orders, do not depend on the machine.
     """
 
     dts: Sequence[float]
     mujoco_dts: Sequence[float]
     around: int
-    longest: float
+    most: int
     gradients: bool = True
 
-    def is_too_long(self, before: Point, steps: int) -> bool:
-        """Whether so many steps would take too long, by what the point before took."""
-        return before.run * before.dt * steps > self.longest
+    def is_too_long(self, integrator: str, steps: int) -> bool:
+        """Whether so many steps are more than a run has; of `implicit`, a step of which takes long, a fifth."""
+        return steps > (self.most // 5 if integrator == "implicit" else self.most)
 
 
-FULL = Sweep([*np.logspace(-2, -5.75, 16)], [*np.logspace(-2, -4.5, 11)], 6, 0.5)
-QUICK = Sweep([*np.logspace(-2, -4.5, 8)], [*np.logspace(-2, -4, 5)], 0, 0.2, gradients=False)
+FULL = Sweep([*np.logspace(-2, -5.75, 16)], [*np.logspace(-2, -4.5, 11)], 6, 300_000)
+QUICK = Sweep([*np.logspace(-2, -4.5, 8)], [*np.logspace(-2, -4, 5)], 0, 60_000, gradients=False)
 
 
 def when(integrator: str) -> float:
@@ -181,11 +183,11 @@ def mean_square(errors: Sequence[float]) -> float:
 def curve(
     case: Case, integrator: str, truth: np.ndarray | None, law: np.ndarray, sweep: Sweep
 ) -> tuple[list[Point], float]:
-    """The points of one integrator, coarsest first, as long as runs are short; and s to compile."""
+    """The points of one integrator, coarsest first, up to the sweep's most steps; and s to compile."""
     program, points = Program(case, integrator), []
     slope = None if case.gradient is None or not sweep.gradients else program.compile_gradient()
     for steps in steps_of(case.seconds, sweep.dts):
-        if points and sweep.is_too_long(points[-1], steps):
+        if points and sweep.is_too_long(integrator, steps):
             break
         around = neighbours(steps, sweep.around)
         values = [program.run(n)[0] for n in around]

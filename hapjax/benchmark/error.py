@@ -18,10 +18,11 @@ from ..extras import need
 from ..files import replacing
 from ..integrate import METHODS
 from ..scene import Scene, cast
-from . import _mujoco, _sweep
+from . import _grip, _mujoco, _sweep
 from . import error_scene as own
 from ._order import equal_time, fitted_order
 from ._sweep import FULL, QUICK, Point, Sweep
+from ._timing import compiled, step_us
 from .cases import CASES, Case, Mujoco
 from .stability import Advance, following
 from .stability_maps import check_names
@@ -88,8 +89,10 @@ def report(
                 [own.scene_case(scene, *own.motion_of(scene, hip, fingers, rate), rate)],
                 own.sweep_at(rate),
             )
-        with following(float(len(chosen) * (len(methods) + len(_mujoco.INTEGRATORS)))) as advance:
+        with following(float(sum(len(methods) + len(_mujoco.variants(c)) for c in chosen))) as advance:
             figures = measure(chosen, methods, sweep, advance)
+            if scene is None and {"semi_implicit", "implicit"} <= {*methods}:
+                figures["step_us"] = implicit_cost()
     if scene is not None:
         of_scene = figures["cases"]["scene"]
         found = own.choices(of_scene, rate)
@@ -108,6 +111,15 @@ def report(
     if out is not None:
         write_points(figures, out / "error.csv")
         console.print(f"report: {page.write(figures, out)}", markup=False)
+
+
+def implicit_cost() -> dict[str, float]:
+    """us of a step of `semi_implicit` and of `implicit` in a compiled loop: three fingers grip a cube on a floor."""
+    loops = []
+    for name in ("semi_implicit", "implicit"):
+        scene = cast(_grip.scene(METHODS[name](dt=_grip.DT)), jnp.float64)
+        loops.append(compiled(scene, _grip.grip(1, 0.0)[0], None)[0])
+    return dict(zip(("semi_implicit", "implicit"), step_us(loops), strict=True))
 
 
 def _check(scene, hip, fingers: int, cases, integrators, error: float, rate: float) -> None:
@@ -192,7 +204,7 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: A
         }
         advance(case.name, 1.0)
     runs = isinstance(case.mujoco, Mujoco) and missing is None
-    for name in _mujoco.INTEGRATORS:
+    for name in _mujoco.variants(case):
         if runs:
             advance(f"{case.name}: MuJoCo {name}", 0.0)
             counts = _sweep.steps_of(case.seconds, sweep.mujoco_dts)

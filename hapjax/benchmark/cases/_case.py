@@ -32,7 +32,8 @@ class Mujoco:
     """The same case for MuJoCo.
 
     `xml`: the model, less integrator and time step; `start(model, data)` sets the start, `read(model, data)` gives what
-    the case compares; `change(model)` is done at half time; `path(t)` (T, 3 n): where the mocap bodies are.
+    the case compares; `change(model)` is done at half time; `path(t)` (T, 3 n): where the mocap bodies are;
+    `holds`: whether nothing is to slip, for which MuJoCo has an option of its own.
     """
 
     xml: str
@@ -40,6 +41,7 @@ class Mujoco:
     start: Callable[[Any, Any], None] = lambda model, data: None
     change: Callable[[Any], None] | None = None
     path: Callable[[np.ndarray], np.ndarray] | None = None
+    holds: bool = False
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,7 @@ def _gripped(share: float, speed: float) -> Mujoco:
         </worldbody><actuator>{motors}</actuator></mujoco>""",
         start=start,
         read=lambda model, data: data.qpos[2:3].copy() if speed else data.qvel[:3].copy(),
+        holds=not speed,
     )
 
 
