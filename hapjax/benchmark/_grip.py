@@ -39,6 +39,11 @@ def scene(integrator: Integrator | None = None) -> Scene:
     return cast(Scene(parts, {"cube_on_floor": floor}, world=world, integrator=method), precision())
 
 
+def tilted(tilt: float) -> Float[np.ndarray, "3"]:
+    """Gravity, m/s^2, on an incline of `tilt` rad that goes down along y, across the fingers' press."""
+    return 9.81 * np.array([0.0, np.sin(tilt), -np.cos(tilt)])
+
+
 def grip(steps: int, lift: float) -> Float[np.ndarray, "T 3 3"]:
     """Fingers that press with 5 N from both sides, and rise evenly by `lift` m in all."""
     held = _SPOTS - np.sign(_SPOTS) * [1, 0, 0] * (PRESS / STIFFNESS)[:, None]
@@ -51,13 +56,16 @@ def raised(grip_scene: Scene, height: float) -> Scene:
     return eqx.tree_at(lambda s: s.object["cube"].position, grip_scene, replace_fn=lambda x: x + up)
 
 
-def mujoco_model(height: float) -> tuple[Any, Any]:
+def mujoco_model(height: float, noslip: int = 0, tilt: float = 0.0) -> tuple[Any, Any]:
     """A like scene for MuJoCo, and its data: a box, `height` m over a plane, and three sphere fingers on slides.
 
-    As it ships, but for the elliptic cone and an impratio of 10, with which held things creep less.
+    As it ships, but for the elliptic cone and an impratio of 10, with which held things creep less; with `noslip`
+    iterations of its pass against slip; gravity turned by `tilt` rad about x, in which the fingers press.
     """
     mujoco = need("mujoco", "bench")
     model = mujoco.MjModel.from_xml_string(_mujoco_xml(height))
+    model.opt.noslip_iterations = noslip
+    model.opt.gravity[:] = tilted(tilt)
     data = mujoco.MjData(model)
     data.ctrl[:] = PRESS
     return model, data

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,9 +22,11 @@ from ..integrate import METHODS
 from ..scene import Scene
 from ..simulate import init, rollout
 from . import _grip
+from ._mujoco import NOSLIP_ITERATIONS
 
 SIZES, STEPS, THREADS = (1, 16, 128, 1024), 200, 2
 HEIGHT, SETTLE, HELD = 0.02, 1.0, 60.0  # m over the floor; s before creep counts, and s that it counts
+TILTS = (0.0, 0.3)  # rad, of gravity
 HIGH = 1.0  # m, so that the floor does not stop what creeps
 
 
@@ -34,15 +37,16 @@ def measure(
 
     `batches`: of each of `sizes`, `one_call` of a vmapped rollout, `two_threads`, each of which runs half, and `mujoco`'s
     rollout on two threads; the best of several runs that take turns. `ratio`: hapjax's best over MuJoCo's best.
-    `creep`: of each of `integrators` (none: all) and of MuJoCo.
+    `creep`: of each of `integrators` (none: all), of MuJoCo and of MuJoCo with its pass against slip, for each of `TILTS`.
     """
     mujoco = need("mujoco", "bench")
     batches = [_batch(size, steps) for size in sizes]
     ours = max(max(b["one_call"], b["two_threads"]) for b in batches)
     theirs = max(b["mujoco"] for b in batches)
     creep = {name: _creep(METHODS[name](dt=_grip.DT), held) for name in integrators or METHODS}
-    creep["MuJoCo"] = _creep_mujoco(held)
-    first = _creep_mujoco(1.0)
+    for label, noslip in (("MuJoCo", 0), ("MuJoCo noslip", NOSLIP_ITERATIONS)):
+        creep[label] = [_creep_mujoco(held, noslip, tilt) for tilt in TILTS]
+    first = _creep_mujoco(1.0, 0, 0.0)
     return {
         "device": str(jax.devices()[0]),
         "dtype": str(_grip.precision()),
@@ -146,8 +150,8 @@ def _mujoco_rollouts(threads: Any, size: int, steps: int) -> Callable[[], Any]:
     return lambda: threads.rollout(model, workers, starts, control, state=state, sensordata=sensors)
 
 
-def _creep(integrator, held: float) -> float:
-    """How far the cube moves in `held` s, m."""
+def _creep(integrator, held: float) -> list[float]:
+    """How far the cube moves in `held` s, m, for each of TILTS."""
     scene = _grip.raised(_grip.scene(integrator), HEIGHT)
     first, count = round(SETTLE / _grip.DT), round((SETTLE + held) / _grip.DT)
     hip = jnp.asarray(_grip.grip(1, 0.0)[0] + [0, 0, HEIGHT], _grip.precision())
@@ -157,13 +161,17 @@ def _creep(integrator, held: float) -> float:
         hips = jnp.broadcast_to(hip, (count, *hip.shape))
         return rollout(scene, init(scene, hip), hips)[1].pose[:, 0, :3]
 
-    path = np.asarray(places(scene))
-    return float(np.linalg.norm(path[-1] - path[first - 1]))
+    moved = []
+    for tilt in TILTS:
+        gravity = jnp.asarray(_grip.tilted(tilt), _grip.precision())
+        path = np.asarray(places(eqx.tree_at(lambda s: s.world.gravity, scene, gravity)))
+        moved.append(float(np.linalg.norm(path[-1] - path[first - 1])))
+    return moved
 
 
-def _creep_mujoco(held: float) -> float:
+def _creep_mujoco(held: float, noslip: int, tilt: float) -> float:
     mujoco = need("mujoco", "bench")
-    model, data = _grip.mujoco_model(HIGH)
+    model, data = _grip.mujoco_model(HIGH, noslip, tilt)
     mujoco.mj_step(model, data, nstep=round(SETTLE / _grip.DT))
     before = data.body("cube").xpos.copy()
     mujoco.mj_step(model, data, nstep=round(held / _grip.DT))
@@ -180,9 +188,10 @@ def _batch_table(figures: dict[str, Any]) -> Table:
 
 
 def _creep_table(figures: dict[str, Any]) -> Table:
+    title = f"creep of a cube held by three fingers for {figures['held_s']:g} s"
     table = Table(
-        "integrator", "um", title=f"creep of a cube held by three fingers for {figures['held_s']:g} s"
+        "integrator", *("um" if not t else f"um, gravity tilted by {t:g} rad" for t in TILTS), title=title
     )
     for name, moved in figures["creep"].items():
-        table.add_row(name, f"{moved * 1e6:.4g}")
+        table.add_row(name, *(f"{x * 1e6:.4g}" for x in moved))
     return table
