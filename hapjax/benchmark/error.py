@@ -197,7 +197,7 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: A
         ours[name], order = points, case.order(name)
         curves[name] = {
             "compile_s": compile_s,
-            **_fit(points, case.seconds, floor),
+            **_fit(points, case.seconds, floor, order.value is not None),
             "theory": order.value,
             "reason": order.reason,
             "points": [asdict(p) for p in points],
@@ -230,10 +230,11 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: A
     }
 
 
-def _fit(points: Sequence[Point], seconds: float, floor: float) -> dict[str, float | None]:
+def _fit(points: Sequence[Point], seconds: float, floor: float, has_order: bool) -> dict[str, float | None]:
+    """The orders; where theory has none, errors are rounding, or those of runs that blow up."""
     dts = [p.dt for p in points]
     return {
-        "order": fitted_order(dts, [p.error for p in points], seconds, floor),
+        "order": fitted_order(dts, [p.error for p in points], seconds, floor) if has_order else None,
         "gradient_order": fitted_order(dts, [p.gradient_error for p in points], seconds, SOLVED),
     }
 
