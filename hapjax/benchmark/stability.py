@@ -116,6 +116,8 @@ def _said(figures: Mapping[str, Any], rate: float):
         tables["what fingers feel, by Colgate's bound b > K T / 2"] = page.wall_rows(figures["walls"])
     if figures["choices"]:
         tables["the scene's integrators"] = page.choice_rows(figures["choices"], rate)
+        if any(choice.pressed for choice in figures["choices"]):
+            sentences.append(page.PRESSED)
         sentences.append(page.advice(figures["choices"], rate))
     return tables, sentences
 
