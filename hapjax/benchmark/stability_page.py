@@ -19,8 +19,9 @@ from .stability_maps import Cell, Map
 from .stability_scene import Choice, Wall, cheapest
 
 PRESSED = (
-    "Pressed: two fingers close on each moving object that they feel, from opposite sides, in half a second; settled if from "
-    "0.9 s to 1 s the energy of all motion stays under 0.0001 m g L, blown up and ringing as above, without the start's energy."
+    "Pressed: two fingers close on each moving object that they feel, from opposite sides, in half a second; "
+    "settled if from 0.9 s to 1 s the energy of all motion stays under 0.0001 m g L, blown up and ringing as above, "
+    "without the start's energy."
 )
 _STYLE = """body{font:15px/1.5 sans-serif;max-width:1150px;margin:2em auto;padding:0 1em;color:#222}
 table{border-collapse:collapse;margin:1em 0}th,td{border:1px solid #ccc;padding:.25em .7em;text-align:left}
