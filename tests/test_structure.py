@@ -181,6 +181,16 @@ def test_the_benchmark_switches_off_what_costs():
         assert equations(program(variant)) < whole or name.endswith("tangential_stiffness"), name
 
 
+def test_the_benchmark_switches_off_shading():
+    tips = 0.02 * np.concatenate([np.eye(3), -np.eye(3)])
+    octants = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]
+    stone = hapjax.Mesh(tips, octants, shaded=True)
+    scene = hapjax.Scene({"stone": hapjax.Object(stone, hapjax.Surface(500.0, mu=0.3))})
+    plain = dict(without_each_part(scene))["object.stone.shaded"]
+    assert plain.object["stone"].shape.shaded is False
+    assert equations(program(plain)) != equations(program(scene))
+
+
 def test_every_number_of_a_moving_scene_is_used():
     """The other way round: a parameter that is given has equations of its own."""
     scene = full(second=False)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
+from rich.progress import track
 from rich.table import Column, Table
 
 from ..body import Body
@@ -18,6 +19,7 @@ from ..errors import InputError
 from ..files import replacing
 from ..integrate import SemiImplicit
 from ..scene import Object, Scene, dtype_of
+from ..shape import Mesh
 from ..simulate import init, step
 from ..surface import Surface
 from ._timing import compiled, felt, step_us
@@ -36,7 +38,8 @@ def measure(scene: Scene | None, fingers: int) -> dict[str, Any]:
     scene, devices = felt(scene, fingers)
     hip = np.stack([np.asarray(device.path[0]) for device in devices])
     variants = [("everything", scene), *without_each_part(scene)]
-    costs, loops = zip(*(_cost(variant, hip) for _, variant in variants), strict=True)
+    compiling = track(variants, "compile", transient=True, console=Console(stderr=True))
+    costs, loops = zip(*(_cost(variant, hip) for _, variant in compiling), strict=True)
     parts = [
         {"without": name, **cost, "step_us": taken}
         for (name, _), cost, taken in zip(variants, costs, step_us(loops), strict=True)
@@ -72,6 +75,8 @@ def without_each_part(scene: Scene) -> Iterator[tuple[str, Scene]]:
     """The scene with each part switched off in turn, by the part's name; with what cannot be without it."""
     for name, thing in scene.object.items():
         path = f"object.{name}"
+        if isinstance(thing.shape, Mesh) and thing.shape.shaded:
+            yield f"{path}.shaded", _with(scene, name, shape=_unshaded(thing.shape))
         for field, simpler in _simpler_surfaces(thing.surface):
             yield f"{path}.surface.{field}", _with(scene, name, surface=simpler)
         if thing.surface is not None:
@@ -126,6 +131,10 @@ def _simpler_surfaces(surface: Surface | None) -> Iterator[tuple[str, Surface]]:
     faces = [n for n in ("mu", "mu_static", "mu_kinetic") if np.ndim(getattr(surface, n)) == 1]
     if faces:
         yield "mu of each face", dataclasses.replace(surface, **{n: getattr(surface, n)[0] for n in faces})
+
+
+def _unshaded(mesh: Mesh) -> Mesh:
+    return Mesh(mesh.vertices, mesh.triangles, mesh.scale, False, mesh.file, mesh.contact_points)
 
 
 def _simpler_bodies(body: Body) -> Iterator[tuple[str, Body]]:
@@ -185,7 +194,13 @@ def _cost(scene: Scene, hip: np.ndarray) -> tuple[dict[str, Any], Callable[[], A
 def _table(figures: dict[str, Any]) -> Table:
     title = f"cost of a step: {figures['fingers']} fingers, {figures['dtype']}, {figures['device']}"
     table = Table(
-        Column("without", no_wrap=True), "equations", "flops", "us a step", "of all", "compile s", title=title
+        Column("without", overflow="fold"),
+        "equations",
+        "flops",
+        "us a step",
+        "of all",
+        "compile s",
+        title=title,
     )
     whole = figures["parts"][0]
     for part in figures["parts"]:
