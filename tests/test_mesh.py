@@ -12,6 +12,7 @@ import trimesh
 from scipy.optimize import lsq_linear
 
 import hapjax
+from hapjax import rotation
 from hapjax.shape import _grid, _planes
 from helpers import well_compiled
 from meshes import TILT, distance, entries, icosphere, inside, notched, torus, voxels
@@ -461,7 +462,7 @@ def test_what_a_finger_feels_has_the_gradients_of_differences(shaded):
     def feels(numbers):
         moved = mesh.moved(mesh.vertices + numbers[0] * way)
         moved = eqx.tree_at(lambda m: m.scale, moved, 1 + numbers[1])
-        turn = hapjax.rotation.from_rotation_vector(numbers[5:8])
+        turn = rotation.from_rotation_vector(numbers[5:8])
         it = hapjax.Object(moved, hapjax.Surface(800.0, mu=0.3 + numbers[8]), None, numbers[2:5], turn)
         return forces(hapjax.Scene({"it": it}), path)[-1]
 

@@ -187,7 +187,7 @@ def test_the_benchmark_switches_off_shading():
     stone = hapjax.Mesh(tips, octants, shaded=True)
     scene = hapjax.Scene({"stone": hapjax.Object(stone, hapjax.Surface(500.0, mu=0.3))})
     plain = dict(without_each_part(scene))["object.stone.shaded"]
-    assert plain.object["stone"].shape.shaded is False
+    assert vars(plain.object["stone"].shape)["shaded"] is False
     assert equations(program(plain)) != equations(program(scene))
 
 

@@ -149,6 +149,7 @@ def test_finds_how_far_out_the_feet_of_the_independent_simulator_stand(tmp_path)
         found = planar_push.fit((loaded,), "synthetic", with_arm=True)
         assert found.starts_at_best == found.starts
         assert found.estimate == pytest.approx(0.3, rel=0.08)
+        assert found.arm is not None
         assert found.arm.estimate == pytest.approx(arm, rel=0.08)
         assert found.arm.interval95[0] < found.arm.estimate < found.arm.interval95[1]
 
