@@ -15,6 +15,14 @@ from hapjax_fitting.progress import done
 from hapjax_fitting.solve import Trace
 
 
+@pytest.fixture(autouse=True)
+def python_listens():
+    """A program that a shell starts in the background is deaf to SIGINT."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def interrupting(monkeypatch, at, times=1):
     """Have the process send itself a SIGINT at a step of the solver."""
     add, count = Trace.add, [0]
