@@ -60,18 +60,18 @@ def test_a_stack_of_three_cubes_stands_for_ten_seconds(yaw, offset):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("dtype", "aside"), [(jnp.float64, 0.0), (jnp.float64, 1e-3), (jnp.float32, 1e-3)])
-def test_two_fingers_that_lift_the_lowest_cube_carry_all_three(dtype, aside):
+@pytest.mark.parametrize(("number", "aside"), [(jnp.float64, 0.0), (jnp.float64, 1e-3), (jnp.float32, 1e-3)])
+def test_two_fingers_that_lift_the_lowest_cube_carry_all_three(number, aside):
     """With fingers that hold in twist: about the line of two points a stack is a pendulum upside down."""
     scene = eqx.tree_at(lambda s: s.torsion, stack(), hapjax.GravityDrop(1e-7), is_leaf=lambda x: x is None)
-    scene = hapjax.cast(scene, dtype)
+    scene = hapjax.cast(scene, number)
     t = np.arange(4000) / 1000
     squeeze = EDGE / 2 - 4e-3 * np.clip(t / 0.5, 0, 1)
     height = EDGE / 2 + 0.03 * np.clip((t - 1) / 1, 0, 1)
     hips = np.stack(
         [np.stack([x, 0 * t + aside, height], axis=-1) for x in (squeeze + 1e-3, -squeeze - 1e-3)], axis=1
     )
-    state, replies = hapjax.rollout(scene, hapjax.init(scene, hips[0]), jnp.asarray(hips, dtype))
+    state, replies = hapjax.rollout(scene, hapjax.init(scene, hips[0]), jnp.asarray(hips, number))
     assert np.asarray(replies.contact["on_floor"].normal_force[-1]).sum() == 0  # off the floor
     lifted = np.asarray(replies.pose)[-1, :, 2] - np.asarray(replies.pose)[900, :, 2]
     assert lifted == pytest.approx(np.full(3, 0.03), abs=2e-3)
