@@ -1,0 +1,81 @@
+"""What a finger feels of a mesh from step to step: no jumps with friction, and right derivatives."""
+
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import trimesh
+
+import hapjax
+from hapjax import rotation
+from meshes import icosphere, torus
+
+BOX = trimesh.creation.box((0.06, 0.05, 0.04))
+FORMS = {"box": (np.asarray(BOX.vertices), np.asarray(BOX.faces)), "torus": torus()}
+
+
+@jax.jit
+def forces(scene, path):
+    """The force on one finger along a path (T, 3) m."""
+    return hapjax.rollout(scene, hapjax.init(scene, path[:1]), path[:, None])[1].force[:, 0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["box", "torus"])
+def test_with_friction_the_force_never_jumps(name):
+    """Over edges and corners, off the surface and on to it again."""
+    vertices, triangles = FORMS[name]
+    stiffness, mu, rng = 1000.0, 0.6, np.random.default_rng(5)
+    scene = hapjax.Scene(
+        {"it": hapjax.Object(hapjax.Mesh(vertices, triangles), hapjax.Surface(stiffness, mu=mu))}
+    )
+    size = np.ptp(vertices, axis=0).max()
+    touched = 0
+    for _ in range(10):
+        chosen = rng.integers(len(triangles), size=16)
+        corners = vertices[triangles[chosen]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        places = np.einsum("nij,ni->nj", corners, rng.dirichlet([1, 1, 1], 16))
+        places -= rng.uniform(-0.05, 0.05, (16, 1)) * size * normals
+        places[0] = vertices.max(axis=0) + 0.1 * size
+        path = np.concatenate([np.linspace(a, b, 300) for a, b in itertools.pairwise(places)])
+        force = np.asarray(forces(scene, jnp.asarray(path)))
+        steps = np.linalg.norm(np.diff(force, axis=0), axis=1)
+        own = stiffness * np.linalg.norm(np.diff(path, axis=0), axis=1)
+        assert np.all(steps <= 2 * np.sqrt(1 + mu**2) * own + 1e-9)
+        touched += np.count_nonzero(force.any(axis=1))
+    assert touched > 5000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shaded", [False, True])
+def test_what_a_finger_feels_has_the_gradients_of_differences(shaded):
+    """By the vertices, the size, the place and the turn of a mesh, and by mu, after a press and a slide."""
+    vertices, triangles = icosphere(1, 0.04)
+    mesh = hapjax.Mesh(vertices, triangles, shaded=shaded)
+    inward = np.array([0.3, 0.4, 0.5]) / np.linalg.norm([0.3, 0.4, 0.5])
+    along = np.cross(inward, [0, 0, 1])
+    radius = np.r_[np.linspace(0.046, 0.036, 6), np.full(6, 0.036)][:, None]
+    slid = np.r_[np.zeros(6), np.linspace(1e-3, 6e-3, 6)][:, None]
+    path = jnp.asarray(radius * inward + slid * along)
+    way = jnp.asarray(np.random.default_rng(0).normal(size=vertices.shape) * 1e-3)
+
+    @jax.jit
+    def feels(numbers):
+        moved = mesh.moved(mesh.vertices + numbers[0] * way)
+        moved = eqx.tree_at(lambda m: m.scale, moved, 1 + numbers[1])
+        turn = rotation.from_rotation_vector(numbers[5:8])
+        it = hapjax.Object(moved, hapjax.Surface(800.0, mu=0.3 + numbers[8]), None, numbers[2:5], turn)
+        return forces(hapjax.Scene({"it": it}), path)[-1]
+
+    at, h = jnp.zeros(9), 1e-6
+    forward, reverse = jax.jacfwd(feels)(at), jax.jacrev(feels)(at)
+    np.testing.assert_allclose(forward, reverse, atol=1e-9)
+    for i in range(9):
+        sides = feels(at.at[i].add(h)), feels(at.at[i].add(-h))
+        np.testing.assert_allclose(forward[:, i], (sides[0] - sides[1]) / (2 * h), rtol=1e-5, atol=1e-4)
+    assert np.all(np.any(np.asarray(forward) != 0, axis=0))
