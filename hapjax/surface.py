@@ -146,6 +146,9 @@ class Surface(eqx.Module):
             return self._along(_of_face(mu, face), normal, inside) * weight * safe.norm(inside)
 
         share = jnp.sum(jax.vmap(one)(corner.faces, corner.normals, corner.weights))
+        own = self._along(_of_face(mu, near.face), near.normal, direction)
+        spare = jnp.maximum(share, (1 + corner.spare) * own)
+        share = jnp.where(corner.spare > 0, spare, share)
         return jnp.where(jnp.any(direction != 0), share, _of_face(mu, near.face))
 
     def _along(self, mu: Any, normal: Float[Array, "3"], direction: Float[Array, "3"]) -> Float[Array, ""]:

@@ -14,12 +14,14 @@ class Corner(eqx.Module):
     """The planes that hold a point in a concave corner at once (Zilles and Salisbury 1995).
 
     normal . depth of the surface point is the sum of `weights` times depth times `normals`; planes that do not take
-    part have the weight 0. `faces` are their faces.
+    part have the weight 0. `faces` are their faces. `spare` is by how much more than 1 the surface point's own plane
+    weighs at least for friction, where planes have just let go.
     """
 
     normals: Float[Array, "*n c 3"]
     weights: Float[Array, "*n c"]
     faces: Int[Array, "*n c"]
+    spare: Float[Array, "*n"]
 
 
 class SurfacePoint(eqx.Module):
@@ -41,11 +43,14 @@ class Track(eqx.Module):
 
     `query` (m) is the touching point of the last step, `stretch` (m) goes from it to the surface point and is 0 out of
     contact, `face` is the face that holds it: an integer, kept as a float so that a state has numbers of one type.
+    `weights` are by how much more than 1 its planes weighed together, and how much of that is spare, see `Corner`; `None`
+    on a shape that has no concave corners.
     """
 
     query: Float[Array, "*n 3"]
     stretch: Float[Array, "*n 3"]
     face: Float[Array, "*n"]
+    weights: Float[Array, "*n 2"] | None = None
 
 
 class Edges(eqx.Module):
@@ -158,21 +163,34 @@ def ease(track: Track, query: Float[Array, "3"], near: SurfacePoint) -> tuple[Tr
     late = size > way
     stretch = jnp.where(late, track.stretch + change * safe.divide(way, size), target)
     normal = jnp.where(late, safe.normalise(stretch), near.normal)
-    point = SurfacePoint(
-        jnp.where(late, query + stretch, near.point),
-        normal,
-        jnp.where(late, safe.norm(stretch), near.depth),
-        near.face,
-        None if near.corner is None else _alone(near.corner, late, normal, near.face),
-    )
-    return Track(query, stretch, near.face.astype(query.dtype)), point
+    depth = jnp.where(late, safe.norm(stretch), near.depth)
+    corner, weights = _let_go(near.corner, track.weights, late, normal, near.face, safe.divide(way, depth))
+    point = SurfacePoint(jnp.where(late, query + stretch, near.point), normal, depth, near.face, corner)
+    return Track(query, stretch, near.face.astype(query.dtype), weights), point
 
 
-def _alone(corner: Corner, late: Bool[Array, ""], normal: Float[Array, "3"], face: Int[Array, ""]) -> Corner:
-    """While the pull lags behind it is not yet that of the planes which the point has come to: its own plane holds."""
-    first = jnp.arange(len(corner.weights)) == 0
-    return Corner(
+def _let_go(
+    corner: Corner | None,
+    before: Float[Array, "2"] | None,
+    late: Bool[Array, ""],
+    normal: Float[Array, "3"],
+    face: Int[Array, ""],
+    way: Float[Array, ""],
+) -> tuple[Corner | None, Float[Array, "2"] | None]:
+    """While the pull lags behind it is not yet that of the planes which the point has come to: its own plane holds.
+
+    Friction would fall at once to what one plane holds. What the others held besides is spare, and goes with the `way`, in
+    units of the depth.
+    """
+    if corner is None or before is None:
+        return None, None
+    first = (jnp.arange(3, dtype=jnp.int32) == 0).astype(normal.dtype)
+    more = jnp.where(late, 0, jnp.sum(corner.weights) - 1)
+    spare = jnp.maximum(before[1] - way, jnp.where(late, before[0], 0))
+    held = Corner(
         jnp.where(late, normal[None], corner.normals),
-        jnp.where(late, first.astype(normal.dtype), corner.weights),
+        jnp.where(late, first, corner.weights),
         jnp.where(late, face, corner.faces),
+        spare,
     )
+    return held, jnp.stack([more, spare])

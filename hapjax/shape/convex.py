@@ -59,9 +59,10 @@ class Convex(Mesh):
     def _face(self, triangle: Int[Array, "*n"]) -> Int[Array, "*n"]:
         return self.facets[triangle].astype(jnp.int32)
 
-    def _corner(self, triangle, near, query, held) -> None:
+    @property
+    def _has_corners(self) -> bool:
         """A convex shape has no concave corners."""
-        return None
+        return False
 
 
 def _hull(points: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -138,7 +138,8 @@ class Mesh(Shape):
         """A point that appears inside is held by the nearest triangle."""
         triangle = self._nearest(query)
         track = begin(self._near(triangle, query), query)
-        return Track(track.query, track.stretch, triangle.astype(query.dtype))
+        weights = jnp.zeros(2, query.dtype) if self._has_corners else None
+        return Track(track.query, track.stretch, triangle.astype(query.dtype), weights)
 
     def follow(self, track: Track, query: Float[Array, "3"]) -> tuple[Track, SurfacePoint]:
         """The local closest point downhill from where the point was held, or came in; see `Shape.follow`."""
@@ -156,7 +157,7 @@ class Mesh(Shape):
         )
         track, point = ease(track, query, near)
         kept = jnp.where(held, triangle, -1 - triangle).astype(query.dtype)
-        return Track(track.query, track.stretch, kept), point
+        return Track(track.query, track.stretch, kept, track.weights), point
 
     def volume(self) -> Float[Array, ""]:
         """The volume, m^3."""
@@ -234,9 +235,14 @@ class Mesh(Shape):
             normal = jnp.where(jnp.any(mixed != 0), mixed, normal)
         return SurfacePoint(query + outward, normal, depth, self._face(triangle))
 
+    @property
+    def _has_corners(self) -> bool:
+        """Whether several planes can hold a point at once. Shading has none: its normal is not theirs."""
+        return not self.shaded
+
     def _corner(self, triangle, near: SurfacePoint, query, held) -> Corner | None:
-        """The planes that hold the point at once. Shading has none: its normal is not theirs."""
-        if self.shaded:
+        """The planes that hold the point at once."""
+        if not self._has_corners:
             return None
         still = frozen(self)
         place = frozen(query / self.scale)
