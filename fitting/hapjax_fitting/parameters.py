@@ -66,6 +66,17 @@ def size_at(parameter: Parameter, free: float, least: float = _SMALL) -> float:
     return 1.0 if usual is None else usual
 
 
+def scatter(
+    first: Float[Array, " p"], parameters: tuple[Parameter, ...], starts: int, spread: float, seed: int
+) -> Float[Array, "S p"]:
+    """The first start, and others off by random factors up to `spread`; the same numbers for the same
+    seed."""
+    random = np.random.default_rng(seed).uniform(-1, 1, (starts, len(first)))
+    random[0] = 0
+    size = [size_at(p, float(x), least=0.0) for p, x in zip(parameters, first, strict=True)]
+    return first[None] + jnp.asarray(np.log(spread) * random * np.array(size), first.dtype)
+
+
 def moves_surface(parameter: Parameter) -> bool:
     """Whether when fingers touch an object depends on it: a number of its place or shape, or of the frame of HIP."""
     if parameter.path == "sensor.hip_rotation":
