@@ -10,8 +10,9 @@ import numpy as np
 from hapjax import InputError, Recording, Scene
 
 from .fit import fit
+from .noise import lost
 from .parameters import Selector
-from .problem import grouped, stacked_residuals
+from .problem import channels_of, grouped, stacked_residuals
 from .result import FitResult
 from .section import Section
 
@@ -25,7 +26,8 @@ class Model:
 
     `result`, its fit to all recordings; `numbers`, how many were fitted, noises that were estimated included; `aic`,
     `aicc`, `bic`: information criteria, of which only differences between models have a meaning; `held_out`: root mean
-    square of the residuals, over the noise, of parts that it was not fitted to, `None` where none could be held out.
+    square of the residuals, over the noise, of parts that it was not fitted to, `None` where none could be held out, or the
+    model left the range of sense there.
     """
 
     result: FitResult
@@ -138,7 +140,7 @@ def compare(
 def _model(
     result: FitResult, recordings: Sequence[Recording], free: Selector, options: Mapping[str, Any]
 ) -> Model:
-    numbers, deviance = len(result.parameters), 0.0
+    numbers, deviance = len(result.parameters), 0.0 if result.measured else np.inf
     for key, size in result.measured.items():
         square = (result.residual_rms["pose" if key == "position" else key] / result.noise[key]) ** 2
         if key in (options.get("noise") or {}):
@@ -175,7 +177,10 @@ def _held_out(
             raise KeyboardInterrupt
         names = [f"held-out part {i + 1}" for i in range(len(left))]
         groups = grouped(part.scene, left, channels, names, part.problem.parameters, part.problem.sensors)
-        found = _residuals(part.free, replace(part.problem, groups=groups, priors=None))
+        held = replace(part.problem, groups=groups, priors=None)
+        found = _residuals(part.free, held)
+        if any(lost(r).any() for _, r in channels_of(found, held)):
+            return None
         square, count = square + float(np.sum(np.asarray(found) ** 2)), count + found.size
     return float(np.sqrt(square / count)) if count else None
 

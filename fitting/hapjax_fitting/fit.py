@@ -4,6 +4,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from numbers import Real
 from typing import Any
 
@@ -16,15 +17,17 @@ from hapjax import InputError, Recording, Scene, cast
 
 from . import robust
 from .breakaway import broken_away, is_static, posterior
+from .dropping import lost_at, lost_of, of_nothing, without
 from .findings import findings_of
 from .grip import cost_of_grip, holding_instead, is_needed, largest_ratio, raised, slipping_instead
 from .identifiability import identifiability
 from .interrupt import stopping_at_interrupts
+from .noise import lost as is_lost
 from .noise import noise_of, spread_of
-from .observation import CHANNELS, LOST
-from .parameters import Parameter, Selector, free_parameters, paths_of, reported, size_at
+from .observation import CHANNELS, observation_of
+from .parameters import Parameter, Selector, free_parameters, paths_of, reported, scatter
 from .priors import priors_of
-from .problem import NOTICEABLE, Problem, channels_of, grouped, stacked_residuals
+from .problem import NOTICEABLE, Problem, channels_of, numbers_in, side_by_side, stacked_residuals
 from .progress import following
 from .result import Estimate, FitResult
 from .sensors import Sensors, Setup, explicit
@@ -35,6 +38,7 @@ from .uncertainty import Certainty, certainty, information
 from .whole_body import made_explicit
 
 _MOST_SEARCHES = 4
+_MOST_RETURNS = 2
 # Residuals beyond so many times the noise: what the model says of slip is then not what the recordings say.
 _EXPLAINED = 10.0
 
@@ -104,20 +108,23 @@ def fit(
     sensors = explicit(sensors or Sensors(), paths_of(scene, free), scene.integrator.dt.dtype)
     scene = made_explicit(scene, paths_of(scene, free))
     apart = (each,) if isinstance(each, str) else tuple(each)
-    kept, trace = list(range(len(recordings))), Trace()
+    laid = [observation_of(scene, r, channels, name) for r, name in zip(recordings, names, strict=True)]
+    dropped, begin, trace = frozenset(), None, Trace()
     showing = following(trace, max_steps) if progress else listen(trace)
     with stopping_at_interrupts(trace), showing:
-        while True:
+        for attempt in count():
             trace.best.clear()
-            used, called = [recordings[i] for i in kept], [names[i] for i in kept]
+            left = without(laid, dropped)
+            used, called = [recordings[i] for i in left], [names[i] for i in left]
             parameters = free_parameters(Setup(scene, sensors), free, bounds, apart, called)
-            groups = grouped(scene, used, channels, called, parameters, sensors)
+            groups = side_by_side(scene, list(left.values()), parameters, sensors)
             size = noise_of(used, noise, scene.integrator.dt.dtype)
             known = priors_of(priors, reported(parameters), scene.integrator.dt.dtype)
             problem = Problem(scene, groups, size, parameters, sensors, known, loss=loss)
             _check_count(problem)
+            first = problem.start() if begin is None or len(begin) != len(parameters) else begin
             try:
-                ends = _searches(problem, used, starts, spread, seed, max_steps)
+                ends = _searches(problem, first, used, starts, spread, seed, max_steps)
                 if loss != "squares":
                     ends = robust.polished(stacked_residuals, ends, problem)
             except (KeyboardInterrupt, jax.errors.JaxRuntimeError) as error:
@@ -125,41 +132,41 @@ def fit(
                 if not (trace.interrupted and trace.best):
                     raise KeyboardInterrupt if trace.interrupted else error  # noqa: B904  a stop is no consequence
                 ends = so_far(stacked_residuals, problem, trace)
-            lost = _lost(problem, ends)
-            if trace.interrupted or not 0 < len(lost) < len(kept):
+            lost = lost_at(ends.free[ends.best], ends.residuals, problem, scene, laid, dropped)
+            # What the new numbers follow comes back, but not for ever: that might go round in circles.
+            lost = lost if attempt < _MOST_RETURNS else dropped | lost
+            enough = numbers_in(without(laid, lost).values()) > problem.fitted()
+            if trace.interrupted or lost == dropped or not enough:
                 break
-            kept = [place for i, place in enumerate(kept) if i not in lost]
-    missing = len(recordings) - len(kept) + len(lost)
-    result = _result(problem, ends, trace, used, called, time.perf_counter() - began, noise, missing)
+            dropped, begin = lost, ends.free[ends.best]
+    result = _result(
+        problem, ends, trace, used, called, time.perf_counter() - began, noise, lost_of(lost, names)
+    )
+    result = result if enough else of_nothing(result)
     friction = any(".mu" in parameter.path for parameter in parameters)
     return replace(result, findings=findings_of(scene, recordings, names, friction))
 
 
 def _searches(
-    problem: Problem, recordings: Sequence[Recording], starts: int, spread: float, seed: int, max_steps: int
+    problem: Problem,
+    first: Float[Array, " p"],
+    recordings: Sequence[Recording],
+    starts: int,
+    spread: float,
+    seed: int,
+    max_steps: int,
 ) -> Solutions:
     """Solve, and again from where a better place may be that gradients do not lead to."""
-    scattered = _scatter(problem.start(), problem.parameters, starts, spread, seed)
+    scattered = scatter(first, problem.parameters, starts, spread, seed)
     begin = shots(scattered, problem, recordings)
     ends = _search(problem, begin, max_steps)
     for _ in range(_MOST_SEARCHES - 1):
         better = _better(problem, ends)
         if better is None:
             break
-        about = _scatter(better, problem.parameters, len(begin), spread, seed)
+        about = scatter(better, problem.parameters, len(begin), spread, seed)
         ends = ends.joined(_search(problem, about, max_steps, begun=len(ends.loss)))
     return ends
-
-
-def _lost(problem: Problem, ends: Solutions) -> set[int]:
-    """The places of the recordings in which the model leaves the range of sense at the best numbers."""
-    found, channels = set(), channels_of(ends.residuals, problem)
-    for group in problem.groups:
-        width = (group.force is not None) + 2 * (group.pose is not None)
-        (_, first), channels = channels[0], channels[width:]
-        lost = np.all(np.asarray(first) >= LOST, axis=(1, 2))
-        found |= set(np.asarray(group.place)[lost].tolist())
-    return found
 
 
 def _search(problem: Problem, begin: Float[Array, "S p"], max_steps: int, begun: int = 0) -> Solutions:
@@ -169,17 +176,6 @@ def _search(problem: Problem, begin: Float[Array, "S p"], max_steps: int, begun:
     places = begun + jnp.arange(len(begin))
     ends = solve(stacked_residuals, begin, places, problem, tolerance, tolerance, max_steps)
     return jax.block_until_ready(ends)
-
-
-def _scatter(
-    first: Float[Array, " p"], parameters: tuple[Parameter, ...], starts: int, spread: float, seed: int
-) -> Float[Array, "S p"]:
-    """The first start, and others off by random factors up to `spread`; the same numbers for the same
-    seed."""
-    random = np.random.default_rng(seed).uniform(-1, 1, (starts, len(first)))
-    random[0] = 0
-    size = [size_at(p, float(x), least=0.0) for p, x in zip(parameters, first, strict=True)]
-    return first[None] + jnp.asarray(np.log(spread) * random * np.array(size), first.dtype)
 
 
 def _better(problem: Problem, ends: Solutions) -> Array | None:
@@ -203,7 +199,7 @@ def _result(
     names: Sequence[str],
     wall_s: float,
     given_noise: Mapping[str, float] | None,
-    lost: int,
+    lost: Mapping[str, int],
 ) -> FitResult:
     best = ends.best
     free = ends.free[best]
@@ -271,7 +267,10 @@ def _result(
             (cost > chance) & ~np.array(jumping),
             _seconds(recordings),
         ),
-        measured={key: sum(r.size for name, r in channels if name == key) for key in size},
+        measured={
+            key: sum(int(np.sum(~is_lost(r))) * r.shape[2] for name, r in channels if name == key)
+            for key in size
+        },
     )
 
 

@@ -174,7 +174,12 @@ def grips(
 
     def one(path, angles):
         state, reply = played(scene, path, angles)
-        found = {}
+        found, lost = {}, reply.lost[:, None]
+
+        def grip_of(touch, face, direction):
+            normal, friction = touch.normal_force, safe.norm(touch.friction_force)
+            return Grip(jnp.where(lost, 0, normal), jnp.where(lost, 0, friction), face, direction)
+
         for name, touch in reply.touch.items():
             thing = scene.object[name]
             position, orientation = thing.position[None], rotation.normalise(thing.orientation)[None]
@@ -186,12 +191,9 @@ def grips(
             local = jax.vmap(rotation.turn_back)(matrix, path - position[:, None, :])
             near = jax.vmap(jax.vmap(thing.shape.closest))(local)
             direction = jax.vmap(rotation.turn)(matrix, near.normal)
-            found[f"object.{name}"] = Grip(
-                touch.normal_force, safe.norm(touch.friction_force), near.face, direction
-            )
+            found[f"object.{name}"] = grip_of(touch, near.face, direction)
         for name, touch in reply.contact.items():
-            face = jnp.zeros(touch.normal_force.shape, jnp.int32)
-            found[f"contact.{name}"] = Grip(touch.normal_force, safe.norm(touch.friction_force), face, None)
+            found[f"contact.{name}"] = grip_of(touch, jnp.zeros(touch.normal_force.shape, jnp.int32), None)
         return found
 
     return jax.vmap(one, in_axes=(0, None if gimbals is None else 0))(hips, gimbals)

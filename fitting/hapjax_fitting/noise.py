@@ -69,19 +69,19 @@ def spread_of(
 
     Noise that was given is believed: variance 1. Noise that was estimated is replaced by what the residuals
     turned out to be, allowing for the `free` numbers fitted to them, times their `correlation_time`: where
-    the model is wrong, neighbouring residuals err alike, and count as fewer samples than there are. Recordings that
-    the model lost count for nothing, unless it lost all.
+    the model is wrong, neighbouring residuals err alike, and count as fewer samples than there are. Samples that
+    the model lost count for nothing, unless it lost all of a channel.
     """
     parts: dict[str, list[np.ndarray]] = {}
+    followed: dict[str, int] = {}
     for key, r in channels:
-        followed = np.asarray(r, np.float64)[~lost(r)]
-        parts.setdefault(key, []).extend([followed] if len(followed) else [])
-    for key, r in channels:
-        parts[key] = parts[key] or [np.asarray(r, np.float64)]
-    size = {
-        key: float(np.sqrt(np.mean(np.concatenate([x.ravel() for x in r]) ** 2))) for key, r in parts.items()
-    }
-    count = sum(r.size for followed in parts.values() for r in followed)
+        parts.setdefault(key, []).append(np.where(lost(r)[..., None], 0, np.asarray(r, np.float64)))
+        followed[key] = followed.get(key, 0) + int(np.sum(~lost(r))) * r.shape[2]
+    for key in [key for key, number in followed.items() if not number]:
+        parts[key] = [np.asarray(r, np.float64) for name, r in channels if name == key]
+        followed[key] = sum(r.size for r in parts[key])
+    size = {key: float(np.sqrt(sum(np.sum(x**2) for x in r) / followed[key])) for key, r in parts.items()}
+    count = sum(followed.values())
     variance = {
         key: 1.0 if key in (given or {}) else size[key] ** 2 * count / (count - free) * correlation_time(r)
         for key, r in parts.items()
@@ -89,9 +89,9 @@ def spread_of(
     return size, np.concatenate([np.full(r.size, variance[key]) for key, r in channels])
 
 
-def lost(residuals: Float[Any, "R _ _"]) -> Bool[np.ndarray, "R"]:
-    """Which of the recordings the model lost."""
-    return np.all(np.asarray(residuals) >= LOST, axis=(1, 2))
+def lost(residuals: Float[Any, "R N _"]) -> Bool[np.ndarray, "R N"]:
+    """Which samples the model lost, as far as their residuals tell."""
+    return np.all(np.asarray(residuals) > 0.99 * LOST, axis=2)
 
 
 def correlation_time(series: Sequence[Float[np.ndarray, "_ _ _"]]) -> float:

@@ -6,14 +6,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from hapjax import InputError, Recording, Reply, Scene, State, init, rollout, rotation, step
 from hapjax.errors import within
 
 from .course import Course, restarted
 from .sensors import Sensors
-from .spells import forces_in
+from .spells import forces_in, onwards
 
 CHANNELS = ("force", "pose")
 _LARGEST = 1e6  # N or m
@@ -34,6 +34,11 @@ class Samples(eqx.Module):
         """The model's series at the measurement's times, linearly interpolated."""
         weight = self.weight[:, None, None]
         return (1 - weight) * series[self.index] + weight * series[self.index + 1]
+
+    def beside(self, steps: Bool[Array, " T"]) -> Bool[Array, " N"]:
+        """Which samples are interpolated from some of the steps."""
+        first, second = steps[self.index], steps[self.index + 1]
+        return (first & (self.weight < 1)) | (second & (self.weight > 0))
 
     def earlier(self, steps: Float[Array, ""], length: int) -> "Samples":
         """The same samples so many steps earlier in a series of this length, none beyond its ends."""
@@ -117,8 +122,9 @@ def residuals(
 ) -> dict[str, Float[Array, "N m"]]:
     """Predicted minus measured over the noise, m numbers a sample, for each of `force`, `position`, `angle`.
 
-    A step's forces belong to the time of its HIP, its poses to the end of the step. A recording in which the model
-    leaves the range of sense (overflow at absurd parameters) counts as `LOST` standard deviations throughout.
+    A step's forces belong to the time of its HIP, its poses to the end of the step. A sample of which the model says
+    nothing, because it left the range of sense, counts as `LOST` standard deviations, whatever the numbers: a search is
+    not drawn to where there are more of them.
     """
     found = {}
     said = predicted(scene, observation, sensors)
@@ -134,8 +140,8 @@ def residuals(
 def predicted(
     scene: Scene, observation: Observation, sensors: Sensors = PERFECT
 ) -> dict[str, Float[Array, "N n m"]]:
-    """What the sensors show of the scene in each observed channel at the times of its samples; NaN where a step was
-    lost, but not where restarts find it again."""
+    """What the sensors show of the scene in each observed channel at the times of its samples; NaN from a lost step on
+    until the model is found again: at the next spell or restart, else nowhere."""
     observation = as_sensed(sensors, observation, scene.integrator.dt)
     found = _predicted(scene, observation)
     return found | {"force": sensors.shown(found["force"])} if "force" in found else found
@@ -144,18 +150,25 @@ def predicted(
 def _predicted(scene: Scene, observation: Observation) -> dict[str, Float[Array, "N n m"]]:
     if observation.spells is not None and observation.force is not None:
         force, lost = forces_in(scene, observation.hips, observation.spells)
-        return {"force": jnp.where(lost, jnp.nan, observation.force.between(force))}
+        return {"force": _unless(lost, observation.force, force)}
     state, reply = played(scene, observation.hips, observation.gimbals, observation.course)
     found = {}
     if observation.force is not None:
-        found["force"] = observation.force.between(reply.force)
+        found["force"] = _unless(reply.lost, observation.force, reply.force)
     if observation.pose is not None:
         first = jnp.stack([jnp.concatenate([m.position, m.orientation]) for m in state.motion.values()])
-        found["pose"] = observation.pose.between(_unflipped(jnp.concatenate([first[None], reply.pose])))
-    if observation.course is not None:
-        return found
-    lost = jnp.any(reply.lost)
-    return {key: jnp.where(lost, jnp.nan, said) for key, said in found.items()}
+        lost = jnp.concatenate([jnp.zeros(1, bool), reply.lost])
+        found["pose"] = _unless(
+            lost, observation.pose, _unflipped(jnp.concatenate([first[None], reply.pose]))
+        )
+    return found
+
+
+def _unless(
+    lost: Bool[Array, " T"], samples: Samples, series: Float[Array, "T n m"]
+) -> Float[Array, "N n m"]:
+    """The model's series at the measurement's times; NaN where it is lost."""
+    return jnp.where(samples.beside(lost)[:, None, None], jnp.nan, samples.between(series))
 
 
 def played(
@@ -164,16 +177,20 @@ def played(
     gimbals: Float[Array, "T F"] | None,
     course: Course | None = None,
 ) -> tuple[State, Reply]:
-    """The state before the first step, and the replies of all, with the restarts of a course."""
+    """The state before the first step, and the replies of all, with the restarts of a course. `lost` are all steps from a
+    lost one on until the next restart."""
     state = init(scene, hips[0], None if gimbals is None else gimbals[0])
     if course is None:
-        return state, rollout(scene, state, hips, gimbals=gimbals)[1]
+        reply = rollout(scene, state, hips, gimbals=gimbals)[1]
+        return state, replace(reply, lost=onwards(reply.lost))
 
-    def one(carry: State, x):
-        hip, gimbal, now = x
-        return step(scene, restarted(scene, carry, now), hip, gimbal=gimbal)
+    def one(carry: tuple[State, Array], x):
+        (state, lost), (hip, gimbal, now) = carry, x
+        state, reply = step(scene, restarted(scene, state, now), hip, gimbal=gimbal)
+        lost = reply.lost | (lost & ~now.restart)
+        return (state, lost), replace(reply, lost=lost)
 
-    return state, jax.lax.scan(one, state, (hips, gimbals, course))[1]
+    return state, jax.lax.scan(one, (state, jnp.zeros((), bool)), (hips, gimbals, course))[1]
 
 
 def _unflipped(pose: Float[Array, "T O 7"]) -> Float[Array, "T O 7"]:

@@ -62,11 +62,12 @@ def _compare(series: Compared, names: list[str], label: str, title: str) -> Imag
 def _residuals(series: Compared, names: list[str], label: str, noise: float | None, title: str) -> Image:
     figure, grid = rows(len(names), 2.1, 2, sharey="row", width_ratios=(4, 1))
     residuals = series.predicted - series.measured
+    known = residuals[np.isfinite(residuals).all(axis=(1, 2))]  # where the model was not lost
     for i, (axes, histogram) in enumerate(grid):
         for j, (name, colour) in enumerate(_AXES):
             axes.plot(*thinned(series.time, residuals[:, i, j]), color=colour, lw=0.7, label=name)
         histogram.hist(
-            residuals[:, i], bins=60, orientation="horizontal", histtype="step", color=[c for _, c in _AXES]
+            known[:, i], bins=60, orientation="horizontal", histtype="step", color=[c for _, c in _AXES]
         )
         if noise is not None:
             axes.axhline(2 * noise, color="black", lw=0.8, ls="--", label="twice the noise, either way")

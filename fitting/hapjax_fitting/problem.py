@@ -1,6 +1,6 @@
 """The least-squares problem of a fit: its residuals, their Jacobian, and the loss."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -83,13 +83,18 @@ class Problem(eqx.Module):
 
     def measured(self) -> int:
         """How many numbers were measured: a pose is seven, of which six are free."""
-        sizes = [g.force.value.size for g in self.groups if g.force is not None]
-        return sum(sizes + [g.pose.value.size * 6 // 7 for g in self.groups if g.pose is not None])
+        return numbers_in(self.groups)
 
     def start(self) -> Float[Array, " p"]:
         """The free numbers of the scene as it was given."""
         values = values_of(Setup(self.scene, self.sensors), self.parameters)
         return jnp.stack([p.transform.free(v) for p, v in zip(self.parameters, values, strict=True)])
+
+
+def numbers_in(observations: Collection[Observation]) -> int:
+    """How many numbers were measured in them: a pose is seven, of which six are free."""
+    forces = sum(o.force.value.size for o in observations if o.force is not None)
+    return forces + sum(o.pose.value.size * 6 // 7 for o in observations if o.pose is not None)
 
 
 def grouped(
@@ -102,11 +107,19 @@ def grouped(
 ) -> tuple[Observation, ...]:
     """Observations of equal sizes stacked along a first axis. **Raises:** `InputError` as
     `observation_of`."""
+    laid = [observation_of(scene, r, channels, name) for r, name in zip(recordings, names, strict=True)]
+    return side_by_side(scene, laid, parameters, sensors)
+
+
+def side_by_side(
+    scene: Scene, laid: Sequence[Observation], parameters: tuple[Parameter, ...], sensors: Sensors = PERFECT
+) -> tuple[Observation, ...]:
+    """As `grouped`, of recordings that are laid on the scene's time grid already."""
     groups: dict[object, list[Observation]] = {}
-    for place, (recording, name) in enumerate(zip(recordings, names, strict=True)):
-        laid = replace(observation_of(scene, recording, channels, name), place=jnp.asarray(place, jnp.int32))
-        leaves, structure = jax.tree.flatten(laid)
-        groups.setdefault((structure, tuple(x.shape for x in leaves)), []).append(laid)
+    for place, observation in enumerate(laid):
+        placed = replace(observation, place=jnp.asarray(place, jnp.int32))
+        leaves, structure = jax.tree.flatten(placed)
+        groups.setdefault((structure, tuple(x.shape for x in leaves)), []).append(placed)
     stacked = (jax.tree.map(lambda *x: jnp.stack(x), *group) for group in groups.values())
     if scene.moving() or any(moves_surface(p) for p in parameters):
         return tuple(stacked)

@@ -152,10 +152,8 @@ def _warnings(result: FitResult) -> list[str]:
     if result.starts > 1 and result.starts_at_best == 1:
         found.append("Only one start ended at the best loss: a better one may have been missed.")
     if result.lost:
-        found.append(
-            f"In {result.lost} of {_count(len(result.recordings), 'recording')} the model left the range of sense; "
-            "they were dropped."
-        )
+        dropped = ", ".join(f"{_count(n, 'sample')} of {name}" for name, n in result.lost.items())
+        found.append(f"The model left the range of sense; dropped were {dropped}.")
     sizes = {key: result.residual_rms["pose" if key == "position" else key] for key in result.noise}
     large = {key: rms / result.noise[key] for key, rms in sizes.items() if rms > 2 * result.noise[key]}
     if large:

@@ -45,10 +45,11 @@ class FitResult:
     least two starts ended at the best loss, else `reason`
     says what is missing; `starts`, of which `starts_at_best` ended at the best loss; `noise`, the
     standard deviations that the residuals were divided by: `force` N, `position` m, `angle` rad; `trace`:
-    each start's loss by step; `lost`, in how many recordings the model left the range of sense: they were dropped, and the
-    fit is that of the others, which `recordings` holds; `findings`, what is odd about the recordings; `interrupted`: Ctrl-C
-    ended the search, and these are the best numbers so far; `measured`, how many numbers of each channel were compared;
-    `identifiability`, which combinations of the numbers the recordings fix, in sentences.
+    each start's loss by step; `lost`, how many samples of a recording, by its name, were dropped because the model left the
+    range of sense: the fit is that of the others, and `recordings` holds those that have some; `findings`, what is odd about
+    the recordings; `interrupted`: Ctrl-C ended the search, and these are the best numbers so far; `measured`, how many
+    numbers of each channel were compared; `identifiability`, which combinations of the numbers the recordings
+    fix, in sentences.
     For what goes on from here: `problem`, what was solved; `free` (p,), the transformed numbers at the best; `information`
     (p, p) of them, J'V^-1 J, Fisher's for the variances V that the residuals turned out to have; `variance`, their mean.
     """
@@ -67,7 +68,7 @@ class FitResult:
     trace: Mapping[int, Mapping[int, float]]
     recordings: tuple[Recording, ...]
     names: tuple[str, ...]
-    lost: int = 0
+    lost: Mapping[str, int] = field(default_factory=dict)
     reason: str | None = None
     findings: tuple[Finding, ...] = ()
     interrupted: bool = False
@@ -112,7 +113,7 @@ class FitResult:
             "starts": self.starts,
             "starts_at_best": self.starts_at_best,
             "wall_s": self.wall_s,
-            "lost": self.lost,
+            "lost": dict(self.lost),
             "identifiability": list(self.identifiability),
             "findings": [asdict(finding) for finding in self.findings],
         }

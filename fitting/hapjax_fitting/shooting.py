@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from hapjax import Recording
 
 from .course import Course, course_of, stacked, unseen
-from .noise import spread_of
+from .noise import lost, spread_of
 from .parameters import size_at
 from .problem import Problem, channels_of, stacked_residuals
 from .solve import tell
@@ -191,6 +191,6 @@ def _better_of(one: np.ndarray, other: np.ndarray, problem: Problem) -> np.ndarr
 
 
 def _is_explained(free: np.ndarray, problem: Problem, single: Problem) -> bool:
-    found = _residuals(free[None], single)[0]
-    size, _ = spread_of(channels_of(found, problem), None, problem.fitted())
-    return max(size.values()) < EXPLAINED
+    channels = channels_of(_residuals(free[None], single)[0], problem)
+    size, _ = spread_of(channels, None, problem.fitted())
+    return max(size.values()) < EXPLAINED and not any(lost(r).any() for _, r in channels)

@@ -57,12 +57,20 @@ def _touching(scene: Scene, hips: Float[Array, "T F 3"]) -> Bool[Array, "T F"]:
 
 def forces_in(
     scene: Scene, hips: Float[Array, "T F 3"], spells: Int[Array, "S L"]
-) -> tuple[Float[Array, "T F 3"], Bool[Array, ""]]:
-    """The forces on the fingers at all steps, from the spells alone, and whether a step was lost."""
+) -> tuple[Float[Array, "T F 3"], Bool[Array, " T"]]:
+    """The forces on the fingers at all steps, from the spells alone, and which steps are lost: those from a lost one on to
+    the end of its spell."""
 
     def one(path: Float[Array, "L F 3"]) -> Reply:
         return rollout(scene, init(scene, path[0]), path)[1]
 
     replies = jax.vmap(one)(hips[jnp.minimum(spells, len(hips) - 1)])
     force = jnp.zeros_like(hips).at[spells].set(replies.force, mode="drop")
-    return force, jnp.any(replies.lost)
+    lost = jnp.zeros(len(hips), bool).at[spells].set(jax.vmap(onwards)(replies.lost), mode="drop")
+    return force, lost
+
+
+def onwards(lost: Bool[Array, " T"]) -> Bool[Array, " T"]:
+    """All steps from the first lost one on."""
+    first = jnp.where(jnp.any(lost), jnp.argmax(lost), len(lost))
+    return jnp.arange(len(lost)) >= first

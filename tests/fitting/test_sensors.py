@@ -17,6 +17,7 @@ from hapjax_fitting.observation import Samples
 from hapjax_fitting.parameters import free_parameters, with_values
 from hapjax_fitting.problem import Problem, grouped, stacked_residuals
 from hapjax_fitting.sensors import Setup, explicit
+from hapjax_fitting.spells import onwards
 
 BIAS, GAIN, DELAY, TURN = [0.3, -0.2, 0.1], [1.1, 0.9, 1.05], 2.4e-3, [0.02, -0.03, 0.05]
 ALL = {"force_bias": BIAS, "force_gain": GAIN, "force_delay": DELAY, "hip_rotation": TURN}
@@ -122,7 +123,8 @@ def test_perfect_sensors_cost_nothing():
 
         def one(observation):
             reply = rollout(changed, init(changed, observation.hips[0]), observation.hips)[1]
-            said = jnp.where(jnp.any(reply.lost), jnp.nan, observation.force.between(reply.force))
+            samples, lost = observation.force, onwards(reply.lost)
+            said = jnp.where(samples.beside(lost)[:, None, None], jnp.nan, samples.between(reply.force))
             r = (said - observation.force.value) / noise.force
             return jnp.where(jnp.abs(r) < 1e6, r, 1e6).reshape(len(r), -1)
 

@@ -42,7 +42,7 @@ def test_spells_say_what_the_whole_path_says(scene):
     assert spells is not None
     spells = spells[0]
     force, lost = jax.jit(forces_in)(scene, path, spells)
-    assert spells.shape[0] > 2 and 2 * spells.shape[1] <= len(path) and not lost
+    assert spells.shape[0] > 2 and 2 * spells.shape[1] <= len(path) and not lost.any()
     assert np.abs(whole).max() > 1
     np.testing.assert_allclose(force, whole, rtol=0, atol=1e-12)
 
