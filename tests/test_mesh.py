@@ -47,7 +47,9 @@ def followed(shape, ways):
 
 
 def _outside(point):
-    return hapjax.shape.Track(point, jnp.zeros_like(point), jnp.zeros_like(point[0]))
+    return hapjax.shape.Track(
+        point, jnp.zeros_like(point), jnp.zeros_like(point[0]), jnp.zeros_like(point[:2])
+    )
 
 
 @jax.jit

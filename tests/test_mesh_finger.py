@@ -10,7 +10,8 @@ import pytest
 
 import hapjax
 from hapjax import rotation
-from hapjax.shape._shape import Corner, SurfacePoint, Track, ease
+from hapjax.shape import Track
+from hapjax.shape._shape import Corner, SurfacePoint, ease
 from meshes import icosphere, notched, torus
 
 FORMS = {"notched": notched(), "torus": torus()}
