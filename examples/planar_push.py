@@ -4,9 +4,10 @@
 
 A point tool pushes the object slowly; its place and the force at its tip are recorded throughout, the
 object's pose only before and after each push. The feet are contacts on a plane under known loads
-(`hapjax.drag`), carried along the object's motion. The total wrench of their friction is compared with that
-of the push. With `--arm` how far out the feet stand is fitted as well, by a factor on their layout: what the pushes
-tell of the torsional arm, the sum of load times distance from the centre of mass, over the weight.
+carried along the object's motion, and the total wrench of their friction is compared with that of the push
+(`hapjax_fitting.fit_drags`). With `--arm` how far out the feet stand is fitted as well, by a factor on their
+layout: what the pushes tell of the torsional arm, the sum of load times distance from the centre of mass, over the
+weight.
 
 What is assumed, and docs/planar_push.md weighs:
 
@@ -25,24 +26,21 @@ import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pushes import Pushes, load
+from pushes import load
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from scipy.stats import t as student
 
 import hapjax
+import hapjax_fitting
 from hapjax import InputError
 from hapjax.files import replacing
-from hapjax_fitting.solve import jacobian, solve
-from hapjax_fitting.transform import Log
+from hapjax_fitting import Drags, fit_drags
 
-# mu, and the factor on how far out the feet stand.
-STARTS = ((0.05, 1.0), (0.2, 0.5), (0.8, 2.0))
+STIFFNESS = 1e5
 
 
 @dataclass(frozen=True)
@@ -64,109 +62,30 @@ class Fit(Estimate):
     arm: Estimate | None
 
 
-def unbalanced(free, pushes: Pushes) -> jax.Array:
-    """The wrench of push and friction together (P, S, 3) N; a push counts once, however many spans it has.
-
-    `free`: the logarithms of mu and, if it has two numbers, of the factor on how far out the feet stand.
-    """
-    board = hapjax.Surface(pushes.stiffness, mu=Log().value(free[0]))
-    arms = pushes.arms if len(free) == 1 else Log().value(free[1]) * pushes.arms
-    feet = pushes.feet - pushes.arms + arms
-    force = jax.vmap(lambda feet: hapjax.drag(board, feet, pushes.loads))(feet)
-    moment = jnp.sum(jnp.cross(arms, force)[..., 2], axis=-1) / pushes.gyration
-    friction = jnp.concatenate([jnp.sum(force, axis=2)[..., :2], moment[..., None]], axis=-1)
-    return (pushes.wrench + friction) / math.sqrt(force.shape[1])
-
-
-def whitened(free, args) -> jax.Array:
-    """What the solver makes small: all unbalanced wrenches over their noise, in one row."""
-    files, variances = args
-    both = zip(files, variances, strict=True)
-    return jnp.concatenate([(unbalanced(free, f) * jax.lax.rsqrt(v)[None, None]).ravel() for f, v in both])
-
-
-@eqx.filter_jit
-def sums(free, pushes: Pushes) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """For each push and channel (P, 3), over its time: residual^2, slopes * residual (p,), slopes * slopes (p, p)."""
-    slope, r = jacobian(unbalanced, free, pushes)
-    return (
-        jnp.sum(r * r, axis=1),
-        jnp.einsum("psci,psc->pci", slope, r),
-        jnp.einsum("psci,pscj->pcij", slope, slope),
+def fit(files: tuple[Drags, ...], name: str, stiffness: float = STIFFNESS, with_arm: bool = False) -> Fit:
+    """mu of the board under all the files, and with `with_arm` the torsional arm."""
+    board = hapjax.Surface(stiffness, mu=0.2)
+    free = ("surface.mu", "arms") if with_arm else ("surface.mu",)
+    found = fit_drags(board, files, free, name=name)
+    mu, *factor = (_estimate(found.parameters[path], 1.0) for path in free)
+    arm = _estimate(found.parameters["arms"], torsional_arm(files)) if factor else None
+    return Fit(
+        **asdict(mu), pushes=found.drags, starts=found.starts, starts_at_best=found.starts_at_best, arm=arm
     )
 
 
-def variance(mean_square: np.ndarray) -> np.ndarray:
-    """The noise (N^2) of fx and fy, which is one, and of the moment; no force sensor is better than 1 uN."""
-    force = mean_square[..., :2].mean(axis=-1)
-    return np.maximum(np.stack([force, force, mean_square[..., 2]], axis=-1), 1e-12)
-
-
-def fit(files: tuple[Pushes, ...], name: str, with_arm: bool = False) -> Fit:
-    """mu of the board under all the files, the noise of each file estimated from what remains."""
-    starts, places = jnp.log(jnp.asarray(STARTS))[:, : 1 + with_arm], jnp.arange(len(STARTS))
-    variances = tuple(jnp.ones(3) for _ in files)
-    before = np.full(1 + with_arm, np.inf)
-    for _ in range(50):
-        problem = (files, variances)
-        ended = solve(whitened, starts, places, problem, rtol=1e-10, atol=1e-10, max_steps=100)
-        best = int(jnp.argmin(ended.loss))
-        free = ended.free[best]
-        per_push = [[np.asarray(x) for x in sums(free, f)] for f in files]
-        variances = tuple(jnp.asarray(variance(square.mean(axis=0))) for square, _, _ in per_push)
-        if np.abs(np.asarray(free) - before).max() < 1e-7:
-            break
-        before = np.asarray(free)
-    else:
-        raise InputError(f"{name}: mu and the noise do not settle; the forces do not fit one mu")
-    left_out = np.concatenate([_without_one(i, per_push) for i in range(len(files))])
-    count = len(left_out)
-    errors = np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean(axis=0)) ** 2, axis=0))
-    if not np.all(errors < Log.widest):
-        raise InputError(f"{name}: the pushes do not determine mu; expected forces that oppose friction")
-    at_best = int(jnp.sum(jnp.all(jnp.abs(ended.free - free[None]) < 1e-4, axis=1)))
-    mu, *factor = (_estimate(math.exp(float(x)), error, count) for x, error in zip(free, errors, strict=True))
-    arm = _scaled(factor[0], torsional_arm(files)) if factor else None
-    return Fit(**asdict(mu), pushes=count, starts=len(STARTS), starts_at_best=at_best, arm=arm)
-
-
-def torsional_arm(files: tuple[Pushes, ...]) -> float:
+def torsional_arm(drags: tuple[Drags, ...]) -> float:
     """Load times distance from the centre of mass, over the weight (m), of the feet where they are; a push counts once."""
-    arms = [float(f.loads @ jnp.linalg.norm(f.arms[0, 0], axis=-1) / jnp.sum(f.loads)) for f in files]
-    return float(np.average(arms, weights=[len(f.arms) for f in files]))
+    arms = [float(d.loads @ jnp.linalg.norm(d.arms[0, 0], axis=-1) / jnp.sum(d.loads)) for d in drags]
+    return float(np.average(arms, weights=[len(d.arms) for d in drags]))
 
 
-def _estimate(value: float, error: float, count: int) -> Estimate:
-    """Of the error of the logarithm, by Student's t of the pushes."""
-    wide = student.ppf(0.975, count - 1) * error
-    return Estimate(value, value * float(error), (value * math.exp(-wide), value * math.exp(wide)))
-
-
-def _scaled(factor: Estimate, size: float) -> Estimate:
-    low, high = factor.interval95
-    return Estimate(size * factor.estimate, size * factor.standard_error, (size * low, size * high))
-
-
-def _without_one(i: int, per_push: list[list[np.ndarray]]) -> np.ndarray:
-    """How far the logarithms move when each push of file i is left out: the jackknife, by one Gauss-Newton step.
-
-    Pushes are independent of each other; the samples of one push are not, so only whole pushes are left out.
-    """
-    others = [_pull([x.sum(axis=0) for x in s], len(s[0])) for j, s in enumerate(per_push) if j != i]
-    pull, weight = _pull([x.sum(axis=0) - x for x in per_push[i]], len(per_push[i][0]) - 1)
-    pull, weight = pull + sum(p for p, _ in others), weight + sum(w for _, w in others)
-    weight = weight + np.finfo(float).tiny * np.eye(weight.shape[-1])
-    return -np.linalg.solve(weight, pull[..., None])[..., 0]
-
-
-def _pull(totals: list[np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The gradient and curvature of the whitened loss in the logarithms, from the sums over `count` pushes."""
-    square, slope_residual, slope_square = totals
-    noise = variance(square / count)
-    return (
-        np.sum(slope_residual / noise[..., None], axis=-2),
-        np.sum(slope_square / noise[..., None, None], axis=-3),
-    )
+def _estimate(of: hapjax_fitting.Estimate, size: float) -> Estimate:
+    """In the unit of `size`, of which the estimate is a factor."""
+    assert of.estimate is not None and of.standard_error is not None
+    low, high = of.interval95
+    assert low is not None and high is not None
+    return Estimate(size * of.estimate, size * of.standard_error, (size * low, size * high))
 
 
 def show(fits: dict[str, Fit]) -> None:
@@ -203,12 +122,12 @@ def fit_all(paths: list[Path], stiffness: float, with_arm: bool) -> tuple[dict[s
         names = [str(path) for path in paths]
     files = []
     for path in paths:
-        pushes, skipped = load(path, stiffness)
+        pushes, skipped = load(path)
         files.append(pushes)
         for line in skipped:
             print(line, file=sys.stderr)
-    fits = {name: fit((f,), name, with_arm) for name, f in zip(names, files, strict=True)}
-    return fits, fit(tuple(files), "all files", with_arm) if len(files) > 1 else fits[names[0]]
+    fits = {name: fit((f,), name, stiffness, with_arm) for name, f in zip(names, files, strict=True)}
+    return fits, fit(tuple(files), "all files", stiffness, with_arm) if len(files) > 1 else fits[names[0]]
 
 
 def arguments(argv: list[str] | None) -> argparse.Namespace:
@@ -229,7 +148,7 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
         "--stiffness",
         metavar="K",
         type=float,
-        default=1e5,
+        default=STIFFNESS,
         help="tangential stiffness of each foot, N/m, above 0 (default %(default)g: practically rigid)",
     )
     return parser.parse_args(argv)

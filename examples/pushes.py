@@ -8,12 +8,11 @@ and `support_points` (V, 2) and `support_load` (V,) of its feet.
 import math
 from pathlib import Path
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hapjax import InputError
+from hapjax_fitting import Drags
 
 SPANS = (
     60  # spans of time a push is averaged in: the tool travels 0.3 mm in each, the tip's noise averages out
@@ -30,22 +29,6 @@ SHAPES = {
     "support_points": ("feet", 2),
     "support_load": ("feet",),
 }
-
-
-class Pushes(eqx.Module):
-    """P pushes of one file in S spans of time on V feet; plane coordinates with z = 0, world frame.
-
-    `feet` (P, S, V, 3) m; `arms`, the same from the centre of mass; `loads` (V,) N; `wrench` (P, S, 3) N of
-    the push about the centre of mass: fx, fy and the moment over the feet's radius of `gyration` (m);
-    `stiffness` of a foot, N/m.
-    """
-
-    feet: jax.Array
-    arms: jax.Array
-    loads: jax.Array
-    wrench: jax.Array
-    gyration: jax.Array
-    stiffness: jax.Array
 
 
 def read(path: Path) -> dict[str, np.ndarray]:
@@ -139,8 +122,8 @@ def poses(tip: np.ndarray, before: np.ndarray, after: np.ndarray) -> tuple[np.nd
     return tip - rotate(angle, point), angle
 
 
-def load(path: Path, stiffness: float) -> tuple[Pushes, list[str]]:
-    """The pushes of a file, and which of them were left out, and why."""
+def load(path: Path) -> tuple[Drags, list[str]]:
+    """The pushes of a file in 60 spans of time each, and which of them were left out, and why."""
     d = read(path)
     weight = float(np.sum(d["support_load"]))
     kept, taken, skipped = [], [], []
@@ -162,5 +145,5 @@ def load(path: Path, stiffness: float) -> tuple[Pushes, list[str]]:
     moment = lever[..., 0] * force[..., 1] - lever[..., 1] * force[..., 0]
     wrench = np.concatenate([force, moment[..., None] / gyration], axis=-1)
     arms, feet = (np.pad(x, [(0, 0)] * 3 + [(0, 1)]) for x in (arms, centre[:, :, None] + arms))
-    values = (feet, arms, d["support_load"], wrench, gyration, stiffness)
-    return Pushes(*(jnp.asarray(x, float) for x in values)), skipped
+    values = (feet, arms, d["support_load"], wrench, gyration)
+    return Drags(*(jnp.asarray(x, float) for x in values)), skipped

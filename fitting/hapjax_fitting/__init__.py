@@ -3,6 +3,9 @@
 from .compare import Comparison as Comparison
 from .compare import Model as Model
 from .compare import compare as compare
+from .dragged import DragFit as DragFit
+from .dragged import Drags as Drags
+from .dragged import fit_drags as fit_drags
 from .fit import fit as fit
 from .laws import with_laws as with_laws
 from .posterior import Posterior as Posterior

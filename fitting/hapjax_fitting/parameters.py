@@ -11,15 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hapjax import Body, InputError, Object, Scene
+from hapjax import Body, InputError, Object
 
 from .sensors import Setup, size_of
 from .transform import Identity, Log, Logit, Transform
 from .whole_body import COUNT, SIZES, as_shown, body_of, is_whole, of_leaf, shown
 
-Root = Scene | Setup
-_R = TypeVar("_R", Scene, Setup)
-Selector = str | Sequence[str] | Callable[[Scene], Any]
+# What paths begin at: a scene, a scene and how it was measured, or another tree of named parts.
+Root = eqx.Module
+_R = TypeVar("_R", bound=eqx.Module)
+Selector = str | Sequence[str] | Callable[[Any], Any]
 
 # What can be below zero; every other number of a scene is a positive one and is fitted through its logarithm.
 _SIGNED = ("position", "orientation", "centre", "gravity", "grain")
@@ -299,7 +300,7 @@ def _continuations(node: Any, walked: list[str]) -> str:
     return ", ".join(".".join([*walked, n]) for n in names) or "a path to a number"
 
 
-def _selected_paths(scene: Scene, select: Callable[[Scene], Any]) -> list[str]:
+def _selected_paths(scene: Root, select: Callable[[Any], Any]) -> list[str]:
     """The paths of the leaves that a function picks: it is given the scene with each leaf replaced by its
     path."""
     leaves, structure = jax.tree_util.tree_flatten_with_path(scene)

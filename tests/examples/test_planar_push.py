@@ -12,6 +12,7 @@ import pushes
 import pytest
 
 import hapjax
+from hapjax_fitting.dragged import Dragged, unbalanced
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -104,7 +105,7 @@ def test_finds_the_mu_that_an_independent_simulator_pushed_with(tmp_path):
     inside = []
     for seed in range(20):
         mu = 0.1 + 0.03 * seed
-        loaded, skipped = pushes.load(save(tmp_path, recorded(mu, seed)), 1e5)
+        loaded, skipped = pushes.load(save(tmp_path, recorded(mu, seed)))
         found = planar_push.fit((loaded,), "synthetic")
         assert not skipped and found.starts_at_best == found.starts
         assert found.estimate == pytest.approx(mu, rel=0.08)
@@ -114,9 +115,9 @@ def test_finds_the_mu_that_an_independent_simulator_pushed_with(tmp_path):
 
 
 def test_at_the_true_mu_friction_balances_the_push(tmp_path):
-    loaded, _ = pushes.load(save(tmp_path, recorded(0.3, seed=7, count=3, noise=0)), 1e5)
-    spans = loaded.wrench.shape[1]
-    left = np.sqrt(spans) * planar_push.unbalanced(jnp.log(jnp.array([0.3])), loaded)
+    loaded, _ = pushes.load(save(tmp_path, recorded(0.3, seed=7, count=3, noise=0)))
+    board = Dragged(hapjax.Surface(1e5, mu=0.3), jnp.ones(()))
+    left = unbalanced(board, loaded)
     pushed, remains = (np.sqrt(np.mean(x[:, 5:] ** 2, axis=(0, 1))) for x in (loaded.wrench, left))
     assert np.all(pushed > 1)  # N: off the centre, so that the moment too has something to balance
     assert np.all(remains < 0.1 * pushed)  # what is left is that the true turn is not quite in proportion
@@ -145,7 +146,7 @@ def test_finds_how_far_out_the_feet_of_the_independent_simulator_stand(tmp_path)
     arm = LOADS @ np.linalg.norm(FEET, axis=1) / LOADS.sum()
     misplaced = recorded(0.3, seed=3) | {"support_points": 0.5 * FEET}
     for given in (recorded(0.3, seed=3), misplaced):
-        loaded, _ = pushes.load(save(tmp_path, given), 1e5)
+        loaded, _ = pushes.load(save(tmp_path, given))
         found = planar_push.fit((loaded,), "synthetic", with_arm=True)
         assert found.starts_at_best == found.starts
         assert found.estimate == pytest.approx(0.3, rel=0.08)
@@ -185,7 +186,7 @@ def test_a_push_without_contact_is_left_out_and_said(tmp_path, capsys):
 
 def test_forces_that_help_friction_determine_no_mu(tmp_path):
     arrays = recorded(0.3, seed=100, count=3)
-    loaded, _ = pushes.load(save(tmp_path, arrays | {"force": -arrays["force"]}), 1e5)
+    loaded, _ = pushes.load(save(tmp_path, arrays | {"force": -arrays["force"]}))
     with pytest.raises(hapjax.InputError, match="reversed: .* do not"):
         planar_push.fit((loaded,), "reversed")
 
