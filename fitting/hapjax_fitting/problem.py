@@ -22,6 +22,8 @@ from .spells import spells_of
 
 # Twice a difference in loss is chi-squared with one degree of freedom, which exceeds this once in a hundred.
 NOTICEABLE = 6.635
+# Residuals, in the order in which a group's stand in one vector.
+KEYS = ("force", "position", "angle")
 
 
 class Problem(eqx.Module):
@@ -149,8 +151,8 @@ def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Fl
 
     found = []
     for group in problem.groups:
-        each = jax.vmap(one)(group)
-        found += list(each.items())
+        each = jax.vmap(one)(group)  # which sorts its keys
+        found += [(key, each[key]) for key in KEYS if key in each]
     return found
 
 
@@ -159,7 +161,7 @@ def channels_of(stacked: Float[Any, " n"], problem: Problem) -> list[tuple[str, 
     found, begin = [], 0
     stacked = unrooted(np.asarray(stacked), problem.loss)
     for group in problem.groups:
-        for key, samples in (("force", group.force), ("position", group.pose), ("angle", group.pose)):
+        for key, samples in zip(KEYS, (group.force, group.pose, group.pose), strict=True):
             if samples is None:
                 continue
             recordings, times, things = samples.value.shape[:3]

@@ -1,12 +1,16 @@
 """Measured samples beside the model's: which time belongs to which step."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from hapjax import Body, InputError, Object, Recording, Scene, Sphere, Surface, World, rollout
 from hapjax_fitting.observation import Noise, observation_of, predicted, residuals
+from hapjax_fitting.parameters import Parameter
+from hapjax_fitting.problem import Problem, channels_of, stacked_residuals
+from hapjax_fitting.transform import Identity
 
 K, DEPTH, G = 1000.0, 1e-3, 9.81
 CHANNELS = ("force", "pose")
@@ -123,6 +127,17 @@ def test_quaternions_of_either_sign_are_interpolated(monkeypatch):
 
     monkeypatch.setattr("hapjax_fitting.observation.rollout", flipping)
     np.testing.assert_allclose(predicted(scene, observation)["pose"], smooth, atol=1e-15)
+
+
+def test_residuals_in_one_vector_are_taken_apart_by_channel():
+    scene, observation = ball(fixed=False), falling(np.array([0.0, 0.0045]))
+    noise = Noise(*(jnp.asarray(x) for x in (1.0, 1e-3, 0.01)))
+    mass = (Parameter("object.ball.body.mass", None, Identity()),)
+    problem = Problem(scene, (jax.tree.map(lambda x: x[None], observation),), noise, mass)
+    found = stacked_residuals(jnp.ones(1), problem)
+    parts = {key: np.asarray(part[0]) for key, part in channels_of(found, problem)}
+    np.testing.assert_allclose(parts["position"][1, 2], (fallen(4) + fallen(5)) / 2 / 1e-3)
+    np.testing.assert_allclose(parts["angle"], 0, atol=1e-12)
 
 
 def test_only_the_chosen_channels_are_compared():
