@@ -133,6 +133,8 @@ def fit(
             check_writable(json)
         if report is not None:
             check_makeable(report)
+        if profile and not compare:
+            need("hapjax_fitting.profile", "fitting").check_names(profile, free)
         loaded = [load_recording(path, topics) for path in recordings]
         options: dict[str, Any] = {
             "observe": observe,
@@ -151,21 +153,22 @@ def fit(
             scenes, chosen = fitting.with_laws(load_scene(scene), compare, free)
             compared = fitting.compare(scenes, loaded, chosen, **options)
             said, figures["comparison"] = [compared], compared.to_dict()
-            result = compared.models[compared.best["bic"]].result
+            result, stopped = compared.models[compared.best["bic"]].result, compared.interrupted
         else:
             result = fitting.fit(load_scene(scene), loaded, free, **options)
+            stopped = result.interrupted
         Console().print(fitting.table(result))
         for finding in result.findings:
             print(f"finding: {finding}")
-        if profile and not result.interrupted:
+        if profile and not stopped:
             profiles = {name: fitting.profile(result, name) for name in profile}
             said += profiles.values()
             figures["profiles"] = {name: found.to_dict() for name, found in profiles.items()}
-        if posterior is not None and not result.interrupted:
+        if posterior is not None and not stopped:
             drawn = fitting.posterior(result, posterior, seed)
             said.append(drawn)
             figures["posterior"] = drawn.to_dict()
-        if suggest and not result.interrupted:
+        if suggest and not stopped:
             suggestion = fitting.suggest(result)
             said.append(suggestion)
             figures["suggestion"] = suggestion.to_dict()
@@ -176,7 +179,7 @@ def fit(
             result.save_json(json, figures)
         if report is not None:
             print(f"report: {fitting.write_report(result, report, sections=sections)}")
-    return 130 if result.interrupted else 0
+    return 130 if stopped else 0
 
 
 def benchmark(

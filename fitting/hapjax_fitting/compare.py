@@ -40,10 +40,12 @@ class Model:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Models by name, and which is `best` by each of `aic`, `aicc`, `bic`, `held_out`."""
+    """Models by name, and which is `best` by each of `aic`, `aicc`, `bic`, `held_out`; `interrupted`: Ctrl-C ended it, and
+    these are the models so far."""
 
     models: Mapping[str, Model]
     best: Mapping[str, str]
+    interrupted: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """The figures, ready for JSON."""
@@ -57,7 +59,7 @@ class Comparison:
             }
             for name, model in self.models.items()
         }
-        return {"models": figures, "best": dict(self.best)}
+        return {"models": figures, "best": dict(self.best), "interrupted": self.interrupted}
 
     def section(self) -> Section:
         """The table, and which model is best by what."""
@@ -83,7 +85,9 @@ class Comparison:
             name: [CRITERIA[key] for key, best in self.best.items() if best == name] for name in self.models
         }
         said = [f"{name} by {', '.join(criteria)}" for name, criteria in by_model.items() if criteria]
-        return f"Best: {'; '.join(said)}. AIC, AICc and BIC are above the lowest one's; held-out error is in noises."
+        stopped = "Interrupted: these are the models so far. " if self.interrupted else ""
+        how = "AIC, AICc and BIC are above the lowest one's; held-out error is in noises."
+        return f"{stopped}Best: {'; '.join(said)}. {how}"
 
 
 def compare(
@@ -110,6 +114,9 @@ def compare(
     - `free`: as for `fit`, one for all models or one for each by name.
     - `options`: other arguments of `fit`.
 
+    Ctrl-C ends it: the models that were fitted so far are compared, with `interrupted` true; where there is none yet, it
+    raises `KeyboardInterrupt`.
+
     **Raises:** `InputError` as `fit`, and where `models` are fewer than two or `free` lacks one.
     """
     recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
@@ -123,23 +130,38 @@ def compare(
     for name in models:
         if name not in chosen:
             raise InputError(f"free lacks the model {name}; allowed: {', '.join(models)}, each once")
-    results = {}
-    for name, scene in models.items():
-        results[name] = fit(scene, recordings, chosen[name], **options)
-        if results[name].interrupted:
-            raise KeyboardInterrupt
-    found = {name: _model(result, recordings, chosen[name], options) for name, result in results.items()}
+    results, held = _fitted(models, recordings, chosen, options)
+    found = {name: _model(result, held.get(name), options) for name, result in results.items()}
     best = {}
     for key in CRITERIA:
         values = {name: getattr(model, key) for name, model in found.items()}
         if None not in values.values():
             best[key] = min(values, key=lambda name, values=values: values[name])
-    return Comparison(found, best)
+    return Comparison(found, best, interrupted=len(held) < len(models))
 
 
-def _model(
-    result: FitResult, recordings: Sequence[Recording], free: Selector, options: Mapping[str, Any]
-) -> Model:
+def _fitted(
+    models: Mapping[str, Scene],
+    recordings: Sequence[Recording],
+    free: Mapping[str, Selector],
+    options: Mapping[str, Any],
+) -> tuple[dict[str, FitResult], dict[str, float | None]]:
+    """The fit of each model, and its error of what was held out; as far as they got until Ctrl-C."""
+    results, held = {}, {}
+    try:
+        for name, scene in models.items():
+            results[name] = fit(scene, recordings, free[name], **options)
+            if results[name].interrupted:
+                return results, held
+        for name, result in results.items():
+            held[name] = _held_out(result, recordings, free[name], options)
+    except KeyboardInterrupt:
+        if not results:
+            raise
+    return results, held
+
+
+def _model(result: FitResult, held_out: float | None, options: Mapping[str, Any]) -> Model:
     numbers, deviance = len(result.parameters), 0.0 if result.measured else np.inf
     for key, size in result.measured.items():
         square = (result.residual_rms["pose" if key == "position" else key] / result.noise[key]) ** 2
@@ -155,8 +177,8 @@ def _model(
         numbers,
         float(aic),
         float(aic + small),
-        float(deviance + numbers * np.log(count)),
-        _held_out(result, recordings, free, options),
+        float(deviance + numbers * np.log(count)) if count else np.inf,
+        held_out,
     )
 
 

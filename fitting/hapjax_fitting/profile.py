@@ -1,6 +1,7 @@
 """Profile likelihood: how much worse the data are explained, the further one number is from its estimate."""
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -17,6 +18,7 @@ from .result import FitResult
 from .section import Images, Section
 from .solve import solve
 from .transform import Transform
+from .whole_body import NAME as WHOLE
 
 CHI95, CHI99 = 3.841459, 6.634897  # of chi-squared with one degree of freedom
 _STEPS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # standard errors
@@ -72,6 +74,15 @@ class Profile:
         from .plots_of_fit import of_profile  # matplotlib takes long to import
 
         return [of_profile(self)]
+
+
+def check_names(names: Sequence[str], free: Sequence[str]) -> None:
+    """Refuse names that the free paths do not give, before a fit has been waited for. **Raises:** `InputError`."""
+    paths = [path.split("[")[0].removesuffix(f".{WHOLE}") for path in free]
+    for name in names:
+        path = re.split(r"\[| @ ", name)[0]
+        if not any(path == p or path.rpartition(".")[0] == p for p in paths):
+            raise InputError(f"profile names {name}, which is not free; allowed: {', '.join(free)}")
 
 
 def profile(result: FitResult, name: str) -> Profile:

@@ -1,6 +1,7 @@
 """Models compared: the law that made the recording wins."""
 
 import json
+import sys
 from functools import cache
 from typing import Any, cast
 
@@ -135,3 +136,23 @@ def test_a_section_is_escaped(tmp_path):
 
     html = Section("a < b", ("c & d",), ("x", "y"), (("<i>", "1"),)).html()
     assert "a &lt; b" in html and "c &amp; d" in html and "&lt;i&gt;" in html and "<i>" not in html
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("stop", "names"), [(1, ["cone"]), (2, ["cone", "stribeck"])])
+def test_an_interrupt_keeps_the_models_so_far(monkeypatch, stop, names):
+    done = [model.result for model in compared("cone").models.values()]
+    calls = []
+
+    def one_after_the_other(*_, **__):
+        calls.append(1)
+        if len(calls) > stop:
+            raise KeyboardInterrupt
+        return done[len(calls) - 1]
+
+    monkeypatch.setattr(sys.modules["hapjax_fitting.compare"], "fit", one_after_the_other)
+    scenes, free = with_laws(floor(0.45), ["cone", "stribeck"], BOTH)
+    found = compare(scenes, recorded(floor(0.5), steps=208), free, starts=1, noise={"force": SIGMA})
+    assert found.interrupted and list(found.models) == names and found.best["bic"] == "cone"
+    assert all(model.held_out is None for model in found.models.values())
+    assert found.section().sentences[0].startswith("Interrupted")

@@ -12,6 +12,7 @@ from fitting_cases import BOTH, MU, SIGMA, STIFFNESS, floor, recorded, stroke
 from hapjax import InputError, Recording
 from hapjax.cli import main
 from hapjax_fitting import fit, profile
+from hapjax_fitting.profile import check_names
 
 T, PATH = stroke(steps=200, length=0.0)
 DEPTH = np.maximum(-PATH[:, 0, 2], 0)
@@ -72,3 +73,22 @@ def test_the_others_are_fitted_anew_and_a_mu_that_never_slips_is_open_above(tmp_
 def test_what_was_not_free_has_no_profile():
     with pytest.raises(InputError, match=f"profile names {MU}, which is not free; allowed: {STIFFNESS}"):
         profile(pressed(SIGMA)[0], MU)
+
+
+def test_a_wrong_name_is_refused_before_the_fit(tmp_path, capsys):
+    arguments = [
+        "--scene",
+        str(tmp_path / "absent.toml"),
+        "--free",
+        *BOTH,
+        "--profile",
+        "object.floor.surface.damping",
+    ]
+    assert main(["fit", str(tmp_path / "absent.npz"), *arguments]) == 2
+    assert (
+        "profile names object.floor.surface.damping, which is not free; allowed: " in capsys.readouterr().err
+    )
+    check_names(
+        ["object.cube.body.mass", "object.cube.body.inertia[0][1]"], ["object.cube.body.pseudo_inertia"]
+    )
+    check_names([f"{MU}[2]", f"{MU} @ stroke.npz"], BOTH)
