@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from .grip import largest_ratio, raised, value_near
 from .parameters import find_leaf
 from .problem import NOTICEABLE, Problem, loss_at
+from .sharding import gathered
 
 _LANES, _AT_ONCE = 50, 100_000  # rollouts side by side, and steps of them, to bound the memory
 _TRIED, _CELLS, _DRAWS = 100, 50, 20
@@ -157,7 +158,8 @@ def _losses(
     """The loss at each of several points, with these values of one number."""
     points = jnp.asarray(free).at[:, i].set(value_near(problem.parameters[i], values, free))
     steps = sum(group.hips.shape[0] * group.hips.shape[1] for group in problem.groups)
-    return np.asarray(_losses_at(points, problem, max(1, min(_LANES, _AT_ONCE // steps))), np.float64)
+    lanes = max(1, min(_LANES, _AT_ONCE // steps))
+    return gathered(_losses_at(points, problem, lanes)).astype(np.float64)
 
 
 @partial(jax.jit, static_argnums=2)

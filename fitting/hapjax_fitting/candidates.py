@@ -3,10 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import jax.numpy as jnp
 import numpy as np
 
 from .grip import grips
 from .result import FitResult
+from .sharding import gathered
 
 _APPROACH, _LASTS = 0.1, 1.0  # s
 _ABOVE = 1e-3  # m
@@ -44,18 +46,16 @@ def contact_of(result: FitResult) -> Contact | None:
     """A moment of firm touch in the first recording in which something touches; `None`: there is none."""
     scene = result.scene
     for group in result.problem.groups:
-        for i in range(len(group.hips)):
-            gimbals = None if group.gimbals is None else group.gimbals[i][None]
-            found = grips(scene, group.hips[i][None], gimbals)
+        for i, path in enumerate(gathered(group.hips)[: group.count]):
+            gimbals = None if group.gimbals is None else gathered(group.gimbals)[i][None]
+            found = grips(scene, jnp.asarray(path)[None], gimbals)
             felt = {
                 name: np.asarray(g.normal_force)[0] for name, g in found.items() if g.direction is not None
             }
             if not felt or max(f.max() for f in felt.values()) <= 0:
                 continue
             name = max(felt, key=lambda n: felt[n].sum())
-            return _firm(
-                result, name, np.asarray(group.hips[i]), felt[name], np.asarray(found[name].direction)[0]
-            )
+            return _firm(result, name, path, felt[name], np.asarray(found[name].direction)[0])
     return None
 
 

@@ -41,7 +41,7 @@ def without(laid: Sequence[Observation], dropped: Dropped) -> dict[int, Observat
 
 def lost_at(
     free: Float[Array, " p"],
-    residuals: Float[Array, " n"],
+    residuals: Float[np.ndarray, " n"],
     problem: Problem,
     scene: Scene,
     laid: Sequence[Observation],

@@ -27,10 +27,20 @@ from .noise import noise_of, spread_of
 from .observation import CHANNELS, observation_of
 from .parameters import Parameter, Selector, free_parameters, paths_of, reported, scatter
 from .priors import priors_of
-from .problem import NOTICEABLE, Problem, channels_of, numbers_in, side_by_side, stacked_residuals
+from .problem import (
+    NOTICEABLE,
+    Problem,
+    channels_of,
+    numbers_in,
+    residuals_at,
+    side_by_side,
+    stacked_residuals,
+)
 from .progress import following
+from .reduced import reduced, reduced_rows
 from .result import Estimate, FitResult
 from .sensors import Sensors, Setup, explicit
+from .sharding import gathered, over_devices
 from .shooting import EXPLAINED, shots
 from .solve import Solutions, Trace, expect, listen, so_far, solve
 from .transform import Logit, Transform
@@ -117,7 +127,7 @@ def fit(
             left = without(laid, dropped)
             used, called = [recordings[i] for i in left], [names[i] for i in left]
             parameters = free_parameters(Setup(scene, sensors), free, bounds, apart, called)
-            groups = side_by_side(scene, list(left.values()), parameters, sensors)
+            groups = over_devices(side_by_side(scene, list(left.values()), parameters, sensors))
             size = noise_of(used, noise, scene.integrator.dt.dtype)
             known = priors_of(priors, reported(parameters), scene.integrator.dt.dtype)
             problem = Problem(scene, groups, size, parameters, sensors, known, loss=loss)
@@ -126,19 +136,20 @@ def fit(
             try:
                 ends = _searches(problem, first, used, starts, spread, seed, max_steps)
                 if loss != "squares":
-                    ends = robust.polished(stacked_residuals, ends, problem)
+                    ends = robust.polished(stacked_residuals, reduced, ends, problem)
             except (KeyboardInterrupt, jax.errors.JaxRuntimeError) as error:
                 trace.interrupted |= isinstance(error, KeyboardInterrupt)
                 if not (trace.interrupted and trace.best):
                     raise KeyboardInterrupt if trace.interrupted else error  # noqa: B904  a stop is no consequence
-                ends = so_far(stacked_residuals, problem, trace)
-            lost = lost_at(ends.free[ends.best], ends.residuals, problem, scene, laid, dropped)
+                ends = so_far(reduced, problem, trace)
+            best = ends.free[ends.best]
+            lost = lost_at(best, residuals_at(best, problem), problem, scene, laid, dropped)
             # What the new numbers follow comes back, but not for ever: that might go round in circles.
             lost = lost if attempt < _MOST_RETURNS else dropped | lost
             enough = numbers_in(without(laid, lost).values()) > problem.fitted()
             if trace.interrupted or lost == dropped or not enough:
                 break
-            dropped, begin = lost, ends.free[ends.best]
+            dropped, begin = lost, best
     result = _result(
         problem, ends, trace, used, called, time.perf_counter() - began, noise, lost_of(lost, names)
     )
@@ -174,8 +185,8 @@ def _search(problem: Problem, begin: Float[Array, "S p"], max_steps: int, begun:
     expect(begun + len(begin))
     tolerance = 1e-8 if begin.dtype == jnp.float64 else 1e-5
     places = begun + jnp.arange(len(begin))
-    ends = solve(stacked_residuals, begin, places, problem, tolerance, tolerance, max_steps)
-    return jax.block_until_ready(ends)
+    ends = solve(stacked_residuals, begin, places, problem, tolerance, tolerance, max_steps, reduced)
+    return jax.tree.map(lambda x: jnp.asarray(gathered(x)), ends)  # what follows is of one device
 
 
 def _better(problem: Problem, ends: Solutions) -> Array | None:
@@ -204,17 +215,17 @@ def _result(
     best = ends.best
     free = ends.free[best]
     setup = problem.setup_at(free)
-    channels, matrix = channels_of(ends.residuals, problem), ends.jacobian
+    channels, matrix = channels_of(residuals_at(free, problem), problem), np.asarray(ends.jacobian)
     size, variance = spread_of(channels, given_noise, problem.fitted())
     typical = float(np.mean(variance))
     if problem.loss != "squares":
         typical, variance = robust.spreads(channels, given_noise, problem.loss)
-        matrix = robust.straight(np.asarray(matrix), np.asarray(ends.residuals), len(variance), problem.loss)
+    variance = reduced_rows(channels, variance, len(free))
     variance = np.concatenate([variance, np.ones(problem.known())])  # priors are believed
     cost, chance = cost_of_grip(free, problem), NOTICEABLE * typical
     said, shown = problem.reported, problem.report(free)
     back = problem.by_reported(free)
-    slopes = np.asarray(matrix) if back is None else np.asarray(matrix) @ back
+    slopes = matrix if back is None else matrix @ back
     widest = np.array([p.transform.widest for p in said])
     known = certainty(slopes, variance, widest, cost > chance)
     spread = known.covariance if back is None else back @ known.covariance @ back.T
@@ -228,7 +239,7 @@ def _result(
         else _not_identified(problem, free, known, i, float(cost[i]), chance, explained)
         for i, p in enumerate(said)
     }
-    fisher = information(np.asarray(matrix), variance)
+    fisher = information(matrix, variance)
     units = {name: float(getattr(problem.noise, name)) for name in size}
     rms = {key: size[key] * units[key] for key in size}
     near = int(np.sum(np.asarray(ends.loss) <= float(ends.loss[best]) + chance / 2))

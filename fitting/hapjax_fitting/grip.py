@@ -1,5 +1,6 @@
 """What recordings say of a mu: whether anything slipped, and if not, how large mu is at least."""
 
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -13,6 +14,7 @@ from hapjax import Scene, rotation, safe
 from .observation import Observation, played
 from .parameters import Parameter
 from .problem import NOTICEABLE, Problem, loss_at
+from .sharding import Layout, each, gathered
 from .transform import Logit
 
 
@@ -139,40 +141,44 @@ def largest_ratio(free: Float[Array, " p"], problem: Problem, parameter: Paramet
     """
     largest = 0.0
     for group in problem.groups:
-        own = np.asarray(group.place) == parameter.place
-        if parameter.place is None:
-            own[:] = True
-        if not own.any():
+        own = np.flatnonzero((group.places == parameter.place) | (parameter.place is None))
+        if not len(own):
             continue
-        grip = _grips_in(free, problem, group)[_part(parameter)]
-        normal, tangential = np.asarray(grip.normal_force)[own], np.asarray(grip.friction_force)[own]
+        grip = _grips_in(free, problem, group, own)[_part(parameter)]
+        normal, tangential = gathered(grip.normal_force), gathered(grip.friction_force)
         firm = normal > 1e-3 * normal.max(initial=0)
         if parameter.index is not None:
-            firm &= np.asarray(grip.face)[own] == parameter.index
+            firm &= gathered(grip.face) == parameter.index
         largest = max(largest, float(np.max(tangential[firm] / normal[firm], initial=0)))
     return largest
 
 
-def _grips_in(free: Float[Array, " p"], problem: Problem, group: Observation) -> dict[str, Grip]:
-    """The grip in each of a group's recordings."""
+def _grips_in(
+    free: Float[Array, " p"], problem: Problem, group: Observation, some: Int[np.ndarray, " R"]
+) -> dict[str, Grip]:
+    """The grip in some of a group's recordings: in all, unless each has numbers of its own."""
     if not problem.apart:
         setup = problem.setup_at(free)
-        return grips(setup.scene, setup.sensor.turned(group.hips), group.gimbals)
+        return grips(setup.scene, setup.sensor.turned(group.hips), group.gimbals, group.layout)
     found = []
-    for i, place in enumerate(np.asarray(group.place).tolist()):
-        setup, gimbals = problem.setup_at(free, place), group.gimbals
+    for i in some.tolist():
+        setup, gimbals = problem.setup_at(free, int(group.places[i])), group.gimbals
         own = None if gimbals is None else gimbals[i][None]
         found.append(grips(setup.scene, setup.sensor.turned(group.hips[i])[None], own))
     return jax.tree.map(lambda *x: jnp.concatenate(x), *found)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="layout")
 def grips(
-    scene: Scene, hips: Float[Array, "R T F 3"], gimbals: Float[Array, "R T F"] | None
+    scene: Scene,
+    hips: Float[Array, "R T F 3"],
+    gimbals: Float[Array, "R T F"] | None,
+    layout: Layout | None = None,
 ) -> dict[str, Grip]:
     """The grip of every finger on every object, and of every contact's points, by path, over time."""
 
-    def one(path, angles):
+    def one(scene, recording):
+        path, angles = recording
         state, reply = played(scene, path, angles)
         found, lost = {}, reply.lost[:, None]
 
@@ -196,7 +202,7 @@ def grips(
             found[f"contact.{name}"] = grip_of(touch, jnp.zeros(touch.normal_force.shape, jnp.int32), None)
         return found
 
-    return jax.vmap(one, in_axes=(0, None if gimbals is None else 0))(hips, gimbals)
+    return each(one, scene, (hips, gimbals), layout)
 
 
 def _part(parameter: Parameter) -> str:

@@ -6,6 +6,8 @@ import signal
 import threading
 from contextlib import contextmanager, suppress
 
+import jax
+
 from .solve import Trace
 
 
@@ -15,11 +17,12 @@ def stopping_at_interrupts(trace: Trace):
 
     Python runs a signal's handler in the main thread alone, and not before compiled code has returned to it. So the
     handler in C writes a byte (`signal.set_wakeup_fd`), which the solver's callback looks for, in whatever thread that
-    is; it fails then, and with it the compiled code. Outside the main thread, and where the program has a
-    handler of its own, nothing is changed.
+    is; it fails then, and with it the compiled code. Outside the main thread, where the program has a handler of its own,
+    and in a fit of several processes, nothing is changed.
     """
     if (
-        threading.current_thread() is not threading.main_thread()
+        jax.process_count() > 1  # which would wait for the one that ends
+        or threading.current_thread() is not threading.main_thread()
         or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
     ):
         yield

@@ -13,6 +13,7 @@ from hapjax.errors import within
 
 from .course import Course, restarted
 from .sensors import Sensors
+from .sharding import Layout, gathered
 from .spells import forces_in, onwards
 
 CHANNELS = ("force", "pose")
@@ -55,7 +56,8 @@ class Observation(eqx.Module):
 
     `hips` (T, F, 3) m at intervals of the integrator's dt; `force` (N, F, 3) N; `pose` (N, O, 7); `gimbals` (T, F) rad,
     where the scene's torsion reads them; `place`, which of the recordings it is; `spells` (S, L), its spells of contact
-    where they run side by side; `course`, where the model's objects are put back to where they were measured.
+    where they run side by side; `course`, where the model's objects are put back to where they were measured; `layout`,
+    over which devices stacked recordings are spread.
     """
 
     hips: Float[Array, "*r T F 3"]
@@ -65,6 +67,17 @@ class Observation(eqx.Module):
     place: Int[Array, "*r"] = eqx.field(default_factory=lambda: jnp.zeros((), jnp.int32))
     spells: Int[Array, "*r S L"] | None = None
     course: Course | None = None
+    layout: Layout | None = eqx.field(static=True, default=None)
+
+    @property
+    def count(self) -> int:
+        """How many recordings are stacked, without those that only fill up."""
+        return len(self.hips) if self.layout is None else self.layout.count
+
+    @property
+    def places(self) -> Int[np.ndarray, " R"]:
+        """Which recordings are stacked."""
+        return gathered(self.place)[: self.count]
 
 
 class Noise(eqx.Module):

@@ -17,11 +17,13 @@ from .parameters import Parameter, moves_surface, report, reported, values_of, w
 from .priors import Priors
 from .robust import rooted, unrooted
 from .sensors import Sensors, Setup
-from .solve import half_square
+from .sharding import each, gathered
+from .solve import with_loss
 from .spells import spells_of
 
 # Twice a difference in loss is chi-squared with one degree of freedom, which exceeds this once in a hundred.
 NOTICEABLE = 6.635
+_LANES = 384  # rollouts side by side, those of derivatives among them
 # Residuals, in the order in which a group's stand in one vector.
 KEYS = ("force", "position", "angle")
 
@@ -66,14 +68,25 @@ class Problem(eqx.Module):
         """The scene and the sensors with the free numbers put in, and with those of one recording."""
         values = jnp.stack([p.transform.value(x) for p, x in zip(self.parameters, free, strict=True)])
         setup = Setup(self.scene, self.sensors)
-        if not self.apart:
+        own = self.own(place)
+        if own is None:
             return with_values(setup, self.parameters, values)
+        shown = tuple(self.parameters[i[0]] for i in self._stems())
+        return with_values(setup, shown, values[own])
+
+    def own(self, place: Int[Array, ""] | int) -> Int[Array, " q"] | None:
+        """Which of the free numbers one recording depends on; `None`: on all."""
+        if not self.apart:
+            return None
+        of_each = [jnp.asarray(i)[place] if len(i) > 1 else jnp.asarray(i[0]) for i in self._stems()]
+        return jnp.stack(of_each)
+
+    def _stems(self) -> list[list[int]]:
+        """The places of the free numbers, those of one path of all recordings together."""
         rows: dict[str, list[int]] = {}
         for i, p in enumerate(self.parameters):
             rows.setdefault(p.stem, []).append(i)
-        picked = [values[i[0]] if len(i) == 1 else values[jnp.asarray(i)[place]] for i in rows.values()]
-        shown = tuple(self.parameters[i[0]] for i in rows.values())
-        return with_values(setup, shown, jnp.stack(picked))
+        return list(rows.values())
 
     def known(self) -> int:
         """Of how many numbers something is known beforehand."""
@@ -85,7 +98,7 @@ class Problem(eqx.Module):
 
     def measured(self) -> int:
         """How many numbers were measured: a pose is seven, of which six are free."""
-        return numbers_in(self.groups)
+        return sum(numbers_in([group]) * group.count // len(group.hips) for group in self.groups)
 
     def start(self) -> Float[Array, " p"]:
         """The free numbers of the scene as it was given."""
@@ -143,17 +156,29 @@ def stacked_residuals(free: Float[Array, " p"], problem: Problem) -> Float[Array
 
 def by_channel(free: Float[Array, " p"], problem: Problem) -> list[tuple[str, Float[Array, "_ _ _"]]]:
     """Whitened residuals of each group's channels: of R recordings, N samples of m numbers."""
-    shared = None if problem.apart else problem.setup_at(free)
-
-    def one(observation: Observation):
-        setup = problem.setup_at(free, observation.place) if shared is None else shared
-        return residuals(setup.scene, observation, problem.noise, setup.sensor)
-
+    shared = free, replace(problem, groups=(), priors=None)
     found = []
     for group in problem.groups:
-        each = jax.vmap(one)(group)  # which sorts its keys
-        found += [(key, each[key]) for key in KEYS if key in each]
+        found_in = each(residuals_of, shared, group, group.layout, at_once(group))  # which sorts its keys
+        found += [(key, found_in[key]) for key in KEYS if key in found_in]
     return found
+
+
+def at_once(group: Observation, directions: int = 1) -> int | None:
+    """How many recordings are best run side by side: on a CPU so many that what a step works on stays in the cache."""
+    if jax.default_backend() != "cpu":
+        return None
+    rollouts = 1 if group.spells is None else group.spells.shape[-2]
+    return max(1, _LANES // (rollouts * directions))
+
+
+def residuals_of(
+    shared: tuple[Float[Array, " p"], Problem], observation: Observation
+) -> dict[str, Float[Array, "N m"]]:
+    """Whitened residuals of one recording, at the free numbers and of the problem that all share."""
+    free, problem = shared
+    setup = problem.setup_at(free, observation.place)
+    return residuals(setup.scene, observation, problem.noise, setup.sensor)
 
 
 def channels_of(stacked: Float[Any, " n"], problem: Problem) -> list[tuple[str, Float[np.ndarray, "_ _ _"]]]:
@@ -164,7 +189,7 @@ def channels_of(stacked: Float[Any, " n"], problem: Problem) -> list[tuple[str, 
         for key, samples in zip(KEYS, (group.force, group.pose, group.pose), strict=True):
             if samples is None:
                 continue
-            recordings, times, things = samples.value.shape[:3]
+            recordings, (times, things) = group.count, samples.value.shape[1:3]
             size = recordings * times * things * 3
             piece = stacked[begin : begin + size].reshape(recordings, times, things * 3)
             found.append((key, piece))
@@ -174,4 +199,9 @@ def channels_of(stacked: Float[Any, " n"], problem: Problem) -> list[tuple[str, 
 
 def loss_at(free: Float[Array, " p"], problem: Problem) -> Float[Array, ""]:
     """Half the sum of the squared whitened residuals."""
-    return half_square(stacked_residuals, free, problem)
+    return with_loss(stacked_residuals, free, problem)[0]
+
+
+def residuals_at(free: Float[Array, " p"], problem: Problem) -> np.ndarray:
+    """`stacked_residuals`, by the program that `loss_at` compiled."""
+    return gathered(with_loss(stacked_residuals, free, problem)[1])

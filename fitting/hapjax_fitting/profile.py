@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from hapjax import InputError
 
 from .problem import loss_at, stacked_residuals
+from .reduced import reduced
 from .report import digits
 from .result import FitResult
 from .section import Images, Section
@@ -139,7 +140,14 @@ def _refitted(x: float, near: Float[Array, " p"], *, problem: Any, i: int) -> Po
     tolerance = 1e-8 if near.dtype == jnp.float64 else 1e-5
     which = jnp.asarray(i, jnp.int32)
     end = solve(
-        _others, others[None], jnp.zeros(1, int), (problem, place, which), tolerance, tolerance, _MOST_STEPS
+        _others,
+        others[None],
+        jnp.zeros(1, int),
+        (problem, place, which),
+        tolerance,
+        tolerance,
+        _MOST_STEPS,
+        _reduced,
     )
     return x, float(end.loss[0]), _inserted(end.free[0], place, which)
 
@@ -147,6 +155,13 @@ def _refitted(x: float, near: Float[Array, " p"], *, problem: Any, i: int) -> Po
 def _others(others: Float[Array, " q"], args: Any) -> Float[Array, " n"]:
     problem, place, which = args
     return stacked_residuals(_inserted(others, place, which), problem)
+
+
+def _reduced(others: Float[Array, " q"], args: Any) -> tuple[Float[Array, "m q"], Float[Array, " m"]]:
+    problem, place, which = args
+    matrix, found = reduced(_inserted(others, place, which), problem)
+    index = jnp.arange(len(others))
+    return matrix[:, jnp.where(index < which, index, index + 1)], found
 
 
 def _inserted(others: Float[Array, " q"], place: Array, which: Array) -> Float[Array, " p"]:

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -71,48 +72,36 @@ def spreads(
 
     Where noise was estimated, times how many neighbours err alike.
     """
-    typical, rows = [], []
+    typical, rows = [], {}
+    parts: dict[str, list[np.ndarray]] = {}
     for key, r in channels:
-        in_loss, in_covariance = spread(r, loss)
-        alike = 1.0 if key in (given or {}) else correlation_time([slope(r, loss)])
-        typical.append(np.full(r.size, in_loss * alike))
-        rows.append(np.full(r.size, in_covariance * alike))
-    return float(np.mean(np.concatenate(typical))), np.concatenate(rows)
+        parts.setdefault(key, []).append(r)
+    for key, of_channel in parts.items():
+        in_loss, in_covariance = spread(np.concatenate([r.ravel() for r in of_channel]), loss)
+        alike = 1.0 if key in (given or {}) else correlation_time([slope(r, loss) for r in of_channel])
+        typical.append(np.full(sum(r.size for r in of_channel), in_loss * alike))
+        rows[key] = in_covariance * alike
+    return float(np.mean(np.concatenate(typical))), np.concatenate(
+        [np.full(r.size, rows[k]) for k, r in channels]
+    )
 
 
-def straight(
-    matrix: Float[np.ndarray, "n p"], rooted_: Float[np.ndarray, " n"], measured: int, loss: str
-) -> Float[np.ndarray, "n p"]:
-    """The Jacobian of the residuals, from that of their roots; the rows after the `measured` ones are priors."""
-    data = rooted_[:measured]
-    raw = unrooted(data, loss)
-    at_0 = 1.0 if loss == "huber" else np.sqrt((_STUDENT + 1) / _STUDENT)
-    near = np.abs(data) < 1e-6
-    rate = np.where(near, at_0, slope(raw, loss) / np.where(near, 1, data))
-    return np.concatenate([matrix[:measured] / rate[:, None], matrix[measured:]])
-
-
-def polished(residuals: Any, ends: Solutions, args: Any) -> Solutions:
-    """The best end, brought to the minimum of the loss itself by L-BFGS-B (jaxopt).
+def polished(residuals: Any, reduced: Any, ends: Solutions, args: Any) -> Solutions:
+    """The best end, brought to the minimum of the loss itself by L-BFGS-B (jaxopt); its Jacobian is that of the residuals
+    themselves.
 
     Levenberg-Marquardt takes the curvature of `rooted` residuals for that of their squares, and may stop short.
     """
     best = ends.best
     free, loss = _descended(residuals, ends.free[best], args)
-    if not float(loss) < float(ends.loss[best]):
-        return ends
-    matrix, found = _jacobian(residuals, free, args)
-    return Solutions(
-        ends.free.at[best].set(free),
-        ends.loss.at[best].set(loss),
-        ends.converged,
-        ends.steps,
-        found,
-        matrix,
-    )
+    if float(loss) < float(ends.loss[best]):
+        ends = replace(ends, free=ends.free.at[best].set(free), loss=ends.loss.at[best].set(loss))
+    return replace(ends, jacobian=_reduced(reduced, ends.free[best], replace(args, loss="squares")))
 
 
-_jacobian = jax.jit(jacobian, static_argnums=0)
+@partial(jax.jit, static_argnums=0)
+def _reduced(reduced: Any, free: Float[Array, " p"], args: Any) -> Array:
+    return reduced(free, args)[0]
 
 
 @partial(jax.jit, static_argnums=0)

@@ -21,6 +21,7 @@ from .course import Course, course_of, stacked, unseen
 from .noise import lost, spread_of
 from .parameters import size_at
 from .problem import Problem, channels_of, stacked_residuals
+from .sharding import gathered
 from .solve import tell
 
 EXPLAINED = 2.0  # residuals up to so many times the noise: the model explains the recordings
@@ -68,7 +69,7 @@ def _windows(problem: Problem, recordings: Sequence[Recording]) -> list[Problem]
     courses: list[list[Course | None]] = []
     for group in problem.groups:
         of_group = []
-        for place in np.asarray(group.place).tolist():
+        for place in gathered(group.place).tolist():
             recording = recordings[place]
             assert recording.hip_t is not None
             times = recording.hip_t[0] + dt * np.arange(group.hips.shape[1])
@@ -176,7 +177,7 @@ def _residuals(points: Float[np.ndarray, "S p"], problem: Problem) -> Float[np.n
     for some in _in_lanes(points):
         full = np.concatenate([some, np.repeat(some[-1:], _LANES - len(some), axis=0)])
         lanes = _side_by_side(jnp.asarray(full, problem.noise.force.dtype), problem)
-        found.append(np.asarray(lanes, np.float64)[: len(some)])
+        found.append(gathered(lanes).astype(np.float64)[: len(some)])
     return np.concatenate(found)
 
 

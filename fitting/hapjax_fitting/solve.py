@@ -14,12 +14,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 _ROUNDING = 10  # times the rounding error of one number: that of a sum of squares
 
-Residuals = Callable[[Float[Array, " p"], Any], Float[Array, " n"]]
+Residuals = Callable[[Float[Array, " p"], Any], Any]
+Reduced = Callable[[Float[Array, " p"], Any], tuple[Float[Array, "m p"], Float[Array, " m"]]]
 
 
 class Solutions(eqx.Module):
     """Where each start ended: `free` (S, p), its `loss` (S,), whether the solver met its tolerances, after how many
-    `steps`; of the start with the lowest loss also the `residuals` (n,) and their `jacobian` (n, p).
+    `steps`; of the start with the lowest loss also the `jacobian` (m, p), as it was reduced.
 
     The loss is half the sum of the squared residuals at `free` itself, not the solver's last word.
     """
@@ -28,8 +29,7 @@ class Solutions(eqx.Module):
     loss: Float[Array, "*S"]
     converged: Bool[Array, "*S"]
     steps: Int[Array, "*S"]
-    residuals: Float[Array, "*n"]
-    jacobian: Float[Array, "*n p"]
+    jacobian: Float[Array, "*m p"]
 
     @property
     def best(self) -> int:
@@ -44,7 +44,6 @@ class Solutions(eqx.Module):
             loss=jnp.concatenate([self.loss, other.loss]),
             converged=jnp.concatenate([self.converged, other.converged]),
             steps=jnp.concatenate([self.steps, other.steps]),
-            residuals=of_best.residuals,
             jacobian=of_best.jacobian,
         )
 
@@ -109,9 +108,7 @@ def _hear(start: Array, step: Array, loss: Array, free: Array) -> None:
             raise RuntimeError("interrupted")
 
 
-def jacobian(
-    residuals: Residuals, free: Float[Array, " p"], args: Any
-) -> tuple[Float[Array, "*n p"], Float[Array, "*n"]]:
+def jacobian(residuals: Residuals, free: Float[Array, " p"], args: Any) -> tuple[Any, Any]:
     """The Jacobian and the residuals. Forward mode: the parameters are few, the samples many."""
 
     def twice(x):
@@ -121,20 +118,20 @@ def jacobian(
     return jax.jacfwd(twice, has_aux=True)(free)
 
 
-def _told_whole(residuals: Residuals) -> Residuals:
+def _told_whole(reduced: Reduced) -> Residuals:
     """The residuals, with the whole Jacobian as their derivative.
 
     A linearised rollout would keep all its steps' intermediate values for as long as the solver keeps the
-    Jacobian; this keeps the n x p matrix alone, and computes it with all directions side by side.
+    Jacobian; this keeps the m x p matrix alone, and computes it with all directions side by side.
     """
 
     @jax.custom_jvp
     def told(free, args):
-        return residuals(free, args)
+        return reduced(free, args)[1]
 
     @told.defjvp
     def _(primals, tangents):
-        matrix, found = jacobian(residuals, *primals)
+        matrix, found = reduced(*primals)
         return found, jnp.matmul(matrix, tangents[0], precision="highest")
 
     return told
@@ -148,29 +145,35 @@ def solve(
     rtol: float,
     atol: float,
     max_steps: int,
+    reduced: Reduced | None = None,
 ) -> Solutions:
     """Minimise half the sum of the squared residuals from each start; `places` number them in a `Trace`.
 
-    `residuals(free, args)` must be the same function object from call to call, else each call compiles anew.
+    `reduced(free, args)` gives the Jacobian and the residuals in fewer rows, with the same inner products of columns;
+    `None`: all rows. Both must be the same function objects from call to call, else each call compiles anew.
     """
     # Compiled apart from the solver, which then has a single copy of the residuals in it.
-    totals = jnp.stack([2 * half_square(residuals, start, args) for start in starts])
-    return _solve(residuals, starts, places, totals, args, rtol, atol, max_steps)
+    totals = jnp.stack([2 * with_loss(residuals, start, args)[0] for start in starts])
+    reduced = eqx.Partial(jacobian, residuals) if reduced is None else reduced
+    return _solve(reduced, starts, places, totals, args, rtol, atol, max_steps)
 
 
 @eqx.filter_jit
-def half_square(residuals: Residuals, free: Float[Array, " p"], args: Any) -> Float[Array, ""]:
-    """The loss: half the sum of the squared residuals."""
-    return 0.5 * jnp.sum(residuals(free, args) ** 2)
+def with_loss(
+    residuals: Residuals, free: Float[Array, " p"], args: Any
+) -> tuple[Float[Array, ""], Float[Array, " n"]]:
+    """The loss, half the sum of the squared residuals, and those."""
+    found = residuals(free, args)
+    return 0.5 * jnp.sum(found**2), found
 
 
-def so_far(residuals: Residuals, args: Any, trace: Trace) -> Solutions:
+def so_far(reduced: Reduced, args: Any, trace: Trace) -> Solutions:
     """Where each start of a search that was ended had got to."""
     losses, found = zip(*(trace.best[start] for start in sorted(trace.best)), strict=True)
     free, loss = jnp.stack([jnp.asarray(x) for x in found]), jnp.asarray(losses, found[0].dtype)
-    matrix, at_best = eqx.filter_jit(jacobian)(residuals, free[jnp.argmin(loss)], args)
+    matrix, _ = eqx.filter_jit(reduced)(free[jnp.argmin(loss)], args)
     steps = jnp.array([max(trace.losses[start]) for start in sorted(trace.best)])
-    return Solutions(free, loss, jnp.zeros(len(loss), bool), steps, at_best, matrix)
+    return Solutions(free, loss, jnp.zeros(len(loss), bool), steps, matrix)
 
 
 class _Search(optx.ClassicalTrustRegion):
@@ -191,8 +194,8 @@ class _Search(optx.ClassicalTrustRegion):
 
 
 @eqx.filter_jit
-def _solve(residuals: Residuals, starts, places, totals, args, rtol, atol, max_steps: int) -> Solutions:
-    told = _told_whole(residuals)
+def _solve(reduced: Reduced, starts, places, totals, args, rtol, atol, max_steps: int) -> Solutions:
+    told = _told_whole(reduced)
 
     def one(start, place, total):
         def tell(num_steps, loss_this_step, y, **_):
@@ -212,22 +215,20 @@ def _solve(residuals: Residuals, starts, places, totals, args, rtol, atol, max_s
                 options={"jac": "fwd"},
             )
         at_end = solution.state.f_info  # of the last step that was accepted, so of the value
-        found, matrix = at_end.residual / scale, at_end.jac.as_matrix() / scale
+        loss = 0.5 * jnp.sum((at_end.residual / scale) ** 2)
         done = solution.result == optx.RESULTS.successful
-        loss = 0.5 * jnp.sum(found**2)
-        return Solutions(solution.value, loss, done, solution.stats["num_steps"], found, matrix)
+        return Solutions(
+            solution.value, loss, done, solution.stats["num_steps"], at_end.jac.as_matrix() / scale
+        )
 
     def next_start(best, item):
         end = one(*item)
         better = end.loss < best[0]
-        best = jax.tree.map(
-            lambda x, y: jnp.where(better, x, y), (end.loss, end.residuals, end.jacobian), best
-        )
+        best = jax.tree.map(lambda x, y: jnp.where(better, x, y), (end.loss, end.jacobian), best)
         return best, (end.free, end.loss, end.converged, end.steps)
 
     # One after the other: on a CPU a batch is no faster, and would run until its slowest start is done.
-    count = jax.eval_shape(residuals, starts[0], args).shape[0]
-    none = (jnp.inf, jnp.zeros(count), jnp.zeros((count, starts.shape[1])))
-    none = jax.tree.map(lambda x: jnp.asarray(x, starts.dtype), none)
+    count = jax.eval_shape(told, starts[0], args).shape[0]
+    none = jnp.asarray(jnp.inf, starts.dtype), jnp.zeros((count, starts.shape[1]), starts.dtype)
     best, ends = jax.lax.scan(next_start, none, (starts, places, totals))
-    return Solutions(*ends, *best[1:])
+    return Solutions(*ends, best[1])
