@@ -31,6 +31,7 @@ from .problem import (
     NOTICEABLE,
     Problem,
     channels_of,
+    loss_at,
     numbers_in,
     residuals_at,
     side_by_side,
@@ -48,6 +49,7 @@ from .uncertainty import Certainty, certainty, information
 from .whole_body import made_explicit
 
 _MOST_SEARCHES = 4
+_PLACES, _FAR = 64, 20.0  # looked at where all starts went astray, and up to which factor off
 _MOST_RETURNS = 2
 # Residuals beyond so many times the noise: what the model says of slip is then not what the recordings say.
 _EXPLAINED = 10.0
@@ -171,6 +173,10 @@ def _searches(
     scattered = scatter(first, problem.parameters, starts, spread, seed)
     begin = shots(scattered, problem, recordings)
     ends = _search(problem, begin, max_steps)
+    if _is_stray(problem, ends):
+        ends = ends.joined(
+            _search(problem, _from_afar(problem, first, starts, seed), max_steps, begun=starts)
+        )
     for _ in range(_MOST_SEARCHES - 1):
         better = _better(problem, ends)
         if better is None:
@@ -178,6 +184,22 @@ def _searches(
         about = scatter(better, problem.parameters, len(begin), spread, seed)
         ends = ends.joined(_search(problem, about, max_steps, begun=len(ends.loss)))
     return ends
+
+
+def _is_stray(problem: Problem, ends: Solutions) -> bool:
+    """Whether no start explains the recordings, and no two ended at one loss, where only fingers move: else there are
+    shots."""
+    least = float(ends.loss[ends.best])
+    variance = 2 * least / problem.measured()
+    alike = int(jnp.sum(ends.loss <= least + NOTICEABLE * variance / 2))
+    return not problem.scene.moving() and len(ends.loss) > 1 and variance >= EXPLAINED**2 and alike < 2
+
+
+def _from_afar(problem: Problem, first: Float[Array, " p"], starts: int, seed: int) -> Float[Array, "S p"]:
+    """Of many places far around the first start those with the least loss."""
+    about = scatter(first, problem.parameters, max(_PLACES, starts), _FAR, seed)
+    losses = jnp.stack([loss_at(place, problem) for place in about])
+    return about[jnp.argsort(losses)[:starts]]
 
 
 def _search(problem: Problem, begin: Float[Array, "S p"], max_steps: int, begun: int = 0) -> Solutions:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 import hapjax
+import hapjax_fitting
 from fitting_cases import floor, forces
 from hapjax.cli import main
-from hapjax_fitting.benchmark import by_hand, efficiency, report
+from hapjax_fitting.benchmark import by_hand, efficiency, report, starts
 from hapjax_fitting.benchmark.cases import CASES, Case, stroke
 from hapjax_fitting.breakaway import Posterior
 from hapjax_fitting.parameters import free_parameters
@@ -79,12 +80,30 @@ def test_static_mu_is_as_near_as_can_be_and_its_intervals_hold_it():
 
 
 @pytest.mark.slow
+def test_from_where_all_starts_go_astray_the_best_is_found():
+    """Of recording 4 both numbers start 10 times too high; there a descent gets nowhere in 100 steps."""
+    assert starts.from_afar("mu, stiffness", 2, seed=3)["at_best"] == 2
+
+
+@pytest.mark.slow
+def test_what_ends_elsewhere_is_told_apart(monkeypatch):
+    def short(*arguments, **options):
+        return hapjax_fitting.fit(*arguments, **(options | {"max_steps": 1}))
+
+    monkeypatch.setattr(starts, "fit", short)
+    found = starts.from_afar("mu, stiffness", 2, seed=3)
+    assert (found["at_best"], found["said"], found["hidden"]) == (0, 2, 0)
+
+
+@pytest.mark.slow
 def test_the_command(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(report, "DRAWS", {"mu, stiffness": 100})
+    monkeypatch.setattr(report, "FROM_AFAR", {"mu, stiffness": 100})
     file, folder = tmp_path / "fit.json", tmp_path / "estimates"
     assert main(["benchmark", "fit", "--quick", "--json", str(file), "--out", str(folder)]) == 0
     figures = json.loads(file.read_text())
     assert [p["name"] for p in figures["efficiency"][0]["parameters"]] == [FLOOR + "mu", FLOOR + "stiffness"]
+    assert figures["starts"] == [{"case": "mu, stiffness", "fits": 2, "at_best": 2, "said": 0, "hidden": 0}]
     minute = figures["minute"]
     np.testing.assert_allclose(minute["estimates"], [0.6, 800], rtol=0.02)
     np.testing.assert_allclose(minute["by_hand"], minute["estimates"], rtol=1e-4)

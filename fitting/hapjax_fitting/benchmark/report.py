@@ -17,7 +17,7 @@ from hapjax import InputError, Scene
 from hapjax.files import check_makeable, replacing
 
 from ..parameters import free_parameters
-from . import efficiency, speed
+from . import efficiency, speed, starts
 from .cases import CASES
 
 DRAWS = {
@@ -25,6 +25,12 @@ DRAWS = {
     "static, kinetic, viscous": 1000,
     "critical area": 200,
     "mass, centre, inertia": 200,
+}
+FROM_AFAR = {
+    "mu, stiffness": 100,
+    "static, kinetic, viscous": 100,
+    "critical area": 20,
+    "mass, centre, inertia": 20,
 }
 _QUICK = 50  # times fewer recordings
 _MINUTE, _GRASP = 60.0, 20.0  # s
@@ -45,6 +51,8 @@ def report(scene: Scene | None, quick: bool, out: Path | None, file: Path | None
             if out is not None:
                 _write(out, name, estimates)
         console.print(efficiency_table(figures["efficiency"]))
+        figures["starts"] = [starts.from_afar(name, -(-fits // shorter)) for name, fits in FROM_AFAR.items()]
+        console.print(starts_table(figures["starts"]))
         figures["minute"] = speed.minute(_MINUTE / shorter)
         figures["grasp"] = speed.grasp(_GRASP / shorter)
         figures["recordings"] = speed.numbers(speed.COUNTS[:2] if quick else speed.COUNTS)
@@ -83,6 +91,17 @@ def efficiency_table(rows: Sequence[dict[str, Any]]) -> Table:
             hold = f"{100 * p['cover']:.1f} %"
             table.add_row(part, fits, f"{p['rmse']:.3g}", f"{p['ratio']:.3f}", hold, p["held_against"])
         table.add_section()
+    return table
+
+
+def starts_table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Where fits end that begin far away."""
+    title = f"starts a factor {starts.FACTOR:g} off in every number"
+    table = Table(
+        "numbers", "fits", "end at the best", "else say so", "else hide it", title=title, box=SIMPLE
+    )
+    for row in rows:
+        table.add_row(*(str(row[key]) for key in ("case", "fits", "at_best", "said", "hidden")))
     return table
 
 
