@@ -56,11 +56,16 @@ def order_rows(figures: dict[str, Any]) -> Iterator[list[str]]:
                 curve,
                 _number(data["order"], ".2f"),
                 "" if "theory" not in data else "none" if theory is None else f"{theory:g}",
-                _number(data.get("gradient_order"), ".2f"),
+                _gradient_order(data),
                 "" if point is None else _error_of(point, curve in _GREYS, case["unit"]),
                 "" if point is None else f"{point['run'] * point['dt'] * 1e6:.2f}",
                 data.get("reason", ""),
             ]
+
+
+def _gradient_order(data: dict[str, Any]) -> str:
+    found, theory = data.get("gradient_order"), data.get("gradient_theory")
+    return _number(found, ".2f") + (f" ({theory:g})" if found is not None and theory is not None else "")
 
 
 def equal_rows(figures: dict[str, Any]) -> Iterator[list[str]]:

@@ -116,7 +116,7 @@ def curve(case: Case, integrator: str, counts: Sequence[int], law: np.ndarray, s
     assert isinstance(case.mujoco, Mujoco)
     model, points = Model(case, case.mujoco, integrator), []
     for steps in counts:
-        if sweep.is_too_long("MuJoCo", steps):
+        if steps > sweep.longest("MuJoCo"):
             break
         _, taken = model.run(steps)
         values = [model.run(n, 1)[0] for n in neighbours(steps, sweep.around)]

@@ -6,25 +6,28 @@ from typing import Any
 import numpy as np
 
 DECADES, LEAST = 1.5, 3  # the finest decades of dt that a fit takes, and the least number of points
+STEEPEST = 6.0  # no rule here is of an order above 4: where errors grow faster with dt, a run is unstable
 ROUNDING = 10 * np.finfo(float).eps  # of a step, in units of what is compared
 
 
 def fitted_order(
     dts: Iterable[float], errors: Iterable[float | None], seconds: float, floor: float
 ) -> float | None:
-    """The slope of log error over log dt in the finest 1.5 decades in which errors stand above noise.
+    """The slope of log error over log dt in the finest 1.5 decades in which errors stand above noise, and runs are stable.
 
     The noise is `floor`, to which the truth is known, or the rounding of as many steps. `None`: fewer than three points.
     """
-    kept = [
+    kept = sorted(
         (dt, e)
         for dt, e in zip(dts, errors, strict=True)
         if e is not None and np.isfinite(e) and e > 3 * max(floor, ROUNDING * seconds / dt)
-    ]
-    if not kept:
+    )
+    if len(kept) < LEAST:
         return None
-    finest = min(dt for dt, _ in kept)
-    fit = np.log10([pair for pair in kept if pair[0] <= finest * 10**DECADES * 1.01])
+    fit = np.log10(kept)
+    fit = fit[fit[:, 0] <= fit[0, 0] + DECADES + 0.005]
+    jumps = np.flatnonzero(np.diff(fit[:, 1]) > STEEPEST * np.diff(fit[:, 0]))
+    fit = fit[: jumps[0] + 1] if len(jumps) else fit
     return float(np.polyfit(fit[:, 0], fit[:, 1], 1)[0]) if len(fit) >= LEAST else None
 
 

@@ -18,6 +18,7 @@ from .cases import Case
 
 REPEATS, LONG = 3, 0.3  # runs shorter than LONG s are repeated, and the best counts
 ROUND = 0.01  # s that a timed call takes at least
+MORE = 4
 HUGE = 1e3  # an error above it is that of a run that has blown up
 WITNESSES = ("lie_midpoint", "implicit", "semi_implicit")  # by which a truth is extrapolated
 AGREED, LONGEST = 1e-3, 10.0  # in the case's unit, to which two have to agree; s of the longest run for it
@@ -40,9 +41,10 @@ class Point:
 @dataclasses.dataclass(frozen=True)
 class Sweep:
     """How much is run: hapjax's and MuJoCo's `dts` (s), `around` further numbers of steps whose errors are averaged
-    with each, the `most` steps of a run, and whether `gradients` are run too.
+    with each, up to MORE times as many where runs are short, the `most` steps of a run, and whether `gradients` are run too.
 
-    Steps are counted, not timed: which dt are run, and so the orders, do not depend on the machine.
+    Steps are counted, not timed: which dt are run, and so the orders, do not depend on the machine. A derivative scatters
+    more than a state by where in a step a touch begins, so it is averaged over more runs, each of a tenth of the steps.
     """
 
     dts: Sequence[float]
@@ -51,9 +53,18 @@ class Sweep:
     most: int
     gradients: bool = True
 
-    def is_too_long(self, integrator: str, steps: int) -> bool:
-        """Whether so many steps are more than a run has; of `implicit`, a step of which takes long, a fifth."""
-        return steps > (self.most // 5 if integrator == "implicit" else self.most)
+    def longest(self, integrator: str) -> int:
+        """The most steps of a run; of `implicit`, a step of which takes long, a fifth."""
+        return self.most // 5 if integrator == "implicit" else self.most
+
+    def has_gradient(self, integrator: str, steps: int) -> bool:
+        """Whether the derivative of so many steps is run."""
+        return self.gradients and steps <= (self.most // 5 if integrator == "implicit" else self.most // 10)
+
+    def runs(self, integrator: str, steps: int) -> list[int]:
+        """The numbers of steps whose errors are averaged: more of them where they are short."""
+        number = self.around * self.longest(integrator) / steps
+        return neighbours(steps, int(np.clip(number, self.around, MORE * self.around)))
 
 
 FULL = Sweep([*np.logspace(-2, -5.75, 16)], [*np.logspace(-2, -4.5, 11)], 6, 300_000)
@@ -187,12 +198,14 @@ def curve(
     program, points = Program(case, integrator), []
     slope = None if case.gradient is None or not sweep.gradients else program.compile_gradient()
     for steps in steps_of(case.seconds, sweep.dts):
-        if points and sweep.is_too_long(integrator, steps):
+        if points and steps > sweep.longest(integrator):
             break
-        around = neighbours(steps, sweep.around)
+        around = sweep.runs(integrator, steps)
         values = [program.run(n)[0] for n in around]
         laws = [program.run(n, rigid=True)[0] for n in around] if case.rigid else values
-        slopes = None if slope is None else [_off(slope(n), case) for n in around]
+        slopes = None
+        if slope is not None and sweep.has_gradient(integrator, steps):
+            slopes = [_off(slope(n), case) for n in around]
         points.append(
             Point(
                 case.seconds / steps,

@@ -197,8 +197,9 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: A
         ours[name], order = points, case.order(name)
         curves[name] = {
             "compile_s": compile_s,
-            **_fit(points, case.seconds, floor, order.value is not None),
+            **orders(points, case.seconds, floor, order.value is not None),
             "theory": order.value,
+            "gradient_theory": case.gradient_order(name),
             "reason": order.reason,
             "points": [asdict(p) for p in points],
         }
@@ -230,7 +231,7 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: A
     }
 
 
-def _fit(points: Sequence[Point], seconds: float, floor: float, has_order: bool) -> dict[str, float | None]:
+def orders(points: Sequence[Point], seconds: float, floor: float, has_order: bool) -> dict[str, float | None]:
     """The orders; where theory has none, errors are rounding, or those of runs that blow up."""
     dts = [p.dt for p in points]
     return {

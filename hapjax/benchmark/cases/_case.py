@@ -97,6 +97,11 @@ class Case:
         """The theory's order of an integrator on this case."""
         return self.orders.get(integrator, self.orders.get("*", Order(ORDERS.get(integrator, 1))))
 
+    def gradient_order(self, integrator: str) -> int | None:
+        """That of the derivative: 1, as it sees where in its step a slide ends or a touch begins; none where the state has
+        none."""
+        return None if self.gradient is None or self.order(integrator).value is None else 1
+
 
 def turned(motion: Motion) -> Any:
     """The orientation as 9 numbers, of which a small difference has the norm of its angle in rad."""
