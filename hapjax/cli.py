@@ -15,6 +15,7 @@ from tyro.conf import FlagCreatePairsOff, Positional
 from .errors import InputError, within
 from .extras import need
 from .files import check_makeable, check_writable
+from .processes import agreed, together
 from .recording import Recording, load_recording
 from .recording.ros_topics import parsed
 from .scene_file import load_scene
@@ -97,6 +98,8 @@ def fit(
     profile: tuple[str, ...] = (),
     suggest: FlagCreatePairsOff[bool] = False,
     posterior: int | None = None,
+    distributed: FlagCreatePairsOff[bool] = False,
+    process: tuple[int, int, str] | None = None,
 ) -> int:
     """Find numbers of a scene from recordings, with 95 % intervals.
 
@@ -126,16 +129,20 @@ def fit(
         profile: Names of free numbers whose profile likelihood is to be walked: intervals that need not be symmetric.
         posterior: Number of draws from the posterior, 50 to 100000, in each of two chains (extra posterior).
         suggest: Say which motion to record next, to shrink the standard errors most.
+        distributed: Share the work with the other processes of this job (SLURM, Open MPI), all with the same arguments.
+        process: I N HOST:PORT, to share it outside such a job: this is process I of N, which meet where process 0 runs.
     """
     fitting, topics = need("hapjax_fitting", "fitting"), parsed(topic)
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), together(distributed, process):
+        first = jax.process_index() == 0
+        json, report = (json, report) if first else (None, None)
         if json is not None:
             check_writable(json)
         if report is not None:
             check_makeable(report)
         if profile and not compare:
             need("hapjax_fitting.profile", "fitting").check_names(profile, free)
-        loaded = [load_recording(path, topics) for path in recordings]
+        loaded, read = agreed(lambda: ([load_recording(p, topics) for p in recordings], load_scene(scene)))
         options: dict[str, Any] = {
             "observe": observe,
             "starts": starts,
@@ -143,19 +150,19 @@ def fit(
             "seed": seed,
             "loss": loss,
         }
-        options |= {"progress": True, "names": [str(path) for path in recordings]}
+        options |= {"progress": first, "names": [str(path) for path in recordings]}
         options["bounds"] = {path: (low, high) for path, low, high in bounds}
         options["each"] = each
         options["priors"] = {path: (mean, deviation) for path, mean, deviation in prior}
         said: list[Any] = []  # beside the fit
         figures: dict[str, Any] = {}
         if compare:
-            scenes, chosen = fitting.with_laws(load_scene(scene), compare, free)
+            scenes, chosen = fitting.with_laws(read, compare, free)
             compared = fitting.compare(scenes, loaded, chosen, **options)
             said, figures["comparison"] = [compared], compared.to_dict()
             result, stopped = compared.models[compared.best["bic"]].result, compared.interrupted
         else:
-            result = fitting.fit(load_scene(scene), loaded, free, **options)
+            result = fitting.fit(read, loaded, free, **options)
             stopped = result.interrupted
         Console().print(fitting.table(result))
         for finding in result.findings:
