@@ -6,7 +6,7 @@ from .implicit import Implicit as Implicit
 from .lie_midpoint import LieMidpoint as LieMidpoint
 from .pivot import PivotForm as PivotForm
 from .semi_implicit import SemiImplicit as SemiImplicit
-from .semi_implicit import SemiImplicitMatrix as SemiImplicitMatrix
+from .semi_implicit_matrix import SemiImplicitMatrix as SemiImplicitMatrix
 
 METHODS: dict[str, type[Integrator]] = {
     "semi_implicit": SemiImplicit,
