@@ -16,6 +16,7 @@ from .clocks import clock_of
 from .evidence import Evidence, evidence_of, scaled
 from .fingers import fingers_of
 from .motion import no_slip, stuck
+from .sharding import shared_out
 
 _TURN = 2 * np.pi
 # Each with the factor by which it must explain the stiffness better than millimetres, which are common.
@@ -37,10 +38,10 @@ def findings_of(
 
     **Arguments:** `names`, what the recordings are called.
     """
+    told = shared_out(lambda recording: lies(scene, recording, friction), recordings)
     found = []
-    for recording, name in zip(recordings, names, strict=True):
-        every = [*recording.findings, *lies(scene, recording, friction)]
-        found += [replace(finding, recording=name) for finding in every]
+    for recording, name, of_one in zip(recordings, names, told, strict=True):
+        found += [replace(finding, recording=name) for finding in (*recording.findings, *of_one)]
     return tuple(found)
 
 
