@@ -110,7 +110,8 @@ def fit(
         scene: Scene file (TOML); its free numbers are the first start.
         free: Paths of the free numbers, as in the scene file, such as object.cube.body.mass; of sensors too:
             sensor.force_bias (N), sensor.force_gain, sensor.force_delay and sensor.pose_delay (s),
-            sensor.hip_rotation (rad).
+            sensor.hip_rotation (rad); of how an object begins: start.NAME.position (m), .rotation (rad), .velocity (m/s)
+            and .spin (rad/s), usually in --each.
         observe: What is compared with the model, of what was recorded.
         starts: Number of starts, 1 to 10000; the results of all are compared.
         spread: The other starts are off by random factors up to this, 1 or above.

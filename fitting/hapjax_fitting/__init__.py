@@ -18,5 +18,6 @@ from .result import Estimate as Estimate
 from .result import FitResult as FitResult
 from .section import Section as Section
 from .sensors import Sensors as Sensors
+from .start import Start as Start
 from .suggest import Suggestion as Suggestion
 from .suggest import suggest as suggest

@@ -48,7 +48,8 @@ def contact_of(result: FitResult) -> Contact | None:
     for group in result.problem.groups:
         for i, path in enumerate(gathered(group.hips)[: group.count]):
             gimbals = None if group.gimbals is None else gathered(group.gimbals)[i][None]
-            found = grips(scene, jnp.asarray(path)[None], gimbals)
+            starts = result.problem.setup_at(jnp.asarray(result.free), int(group.places[i])).start
+            found = grips(scene, jnp.asarray(path)[None], gimbals, starts)
             felt = {
                 name: np.asarray(g.normal_force)[0] for name, g in found.items() if g.direction is not None
             }

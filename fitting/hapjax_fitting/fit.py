@@ -44,6 +44,7 @@ from .sensors import Sensors, Setup, explicit
 from .sharding import gathered, over_devices
 from .shooting import EXPLAINED, shots
 from .solve import Solutions, Trace, expect, listen, so_far, solve
+from .start import starts_of
 from .transform import Logit, Transform
 from .uncertainty import Certainty, certainty, information
 from .whole_body import made_explicit
@@ -85,7 +86,8 @@ def fit(
 
     - `scene`: its free numbers are the first start. With 64-bit numbers on, the fit is in float64 whatever its type.
     - `recordings`: one or several, all of this scene.
-    - `free`: paths, or a function from the scene to its free leaves.
+    - `free`: paths, or a function from the scene to its free leaves. Beside those of the scene, of what begins moving:
+      `start.NAME.velocity` ..., see `Start`; usually in `each`. They start where the recordings' first poses have them.
     - `observe`: what is compared, of `force` and `pose`.
     - `noise`: standard deviations `force` (N), `position` (m), `angle` (rad); estimated from the data where
       absent.
@@ -128,11 +130,13 @@ def fit(
             trace.best.clear()
             left = without(laid, dropped)
             used, called = [recordings[i] for i in left], [names[i] for i in left]
-            parameters = free_parameters(Setup(scene, sensors), free, bounds, apart, called)
+            begins = starts_of(scene, used, paths_of(scene, free))
+            first_one = jax.tree.map(lambda x: x[0], begins)
+            parameters = free_parameters(Setup(scene, sensors, first_one), free, bounds, apart, called)
             groups = over_devices(side_by_side(scene, list(left.values()), parameters, sensors))
             size = noise_of(used, noise, scene.integrator.dt.dtype)
             known = priors_of(priors, reported(parameters), scene.integrator.dt.dtype)
-            problem = Problem(scene, groups, size, parameters, sensors, known, loss=loss)
+            problem = Problem(scene, groups, size, parameters, sensors, known, begins, loss)
             _check_count(problem)
             first = problem.start() if begin is None or len(begin) != len(parameters) else begin
             try:

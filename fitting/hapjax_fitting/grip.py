@@ -15,6 +15,7 @@ from .observation import Observation, played
 from .parameters import Parameter
 from .problem import NOTICEABLE, Problem, loss_at
 from .sharding import Layout, each, gathered
+from .start import Starts
 from .transform import Logit
 
 
@@ -157,14 +158,14 @@ def _grips_in(
     free: Float[Array, " p"], problem: Problem, group: Observation, some: Int[np.ndarray, " R"]
 ) -> dict[str, Grip]:
     """The grip in some of a group's recordings: in all, unless each has numbers of its own."""
-    if not problem.apart:
+    if not (problem.apart or problem.starts):
         setup = problem.setup_at(free)
-        return grips(setup.scene, setup.sensor.turned(group.hips), group.gimbals, group.layout)
+        return grips(setup.scene, setup.sensor.turned(group.hips), group.gimbals, layout=group.layout)
     found = []
     for i in some.tolist():
         setup, gimbals = problem.setup_at(free, int(group.places[i])), group.gimbals
         own = None if gimbals is None else gimbals[i][None]
-        found.append(grips(setup.scene, setup.sensor.turned(group.hips[i])[None], own))
+        found.append(grips(setup.scene, setup.sensor.turned(group.hips[i])[None], own, setup.start))
     return jax.tree.map(lambda *x: jnp.concatenate(x), *found)
 
 
@@ -173,13 +174,15 @@ def grips(
     scene: Scene,
     hips: Float[Array, "R T F 3"],
     gimbals: Float[Array, "R T F"] | None,
+    starts: Starts | None = None,
     layout: Layout | None = None,
 ) -> dict[str, Grip]:
-    """The grip of every finger on every object, and of every contact's points, by path, over time."""
+    """The grip of every finger on every object, and of every contact's points, by path, over time, of recordings that begin
+    alike."""
 
-    def one(scene, recording):
-        path, angles = recording
-        state, reply = played(scene, path, angles)
+    def one(shared, recording):
+        (scene, starts), (path, angles) = shared, recording
+        state, reply = played(scene, path, angles, starts=starts or {})
         found, lost = {}, reply.lost[:, None]
 
         def grip_of(touch, face, direction):
@@ -190,9 +193,9 @@ def grips(
             thing = scene.object[name]
             position, orientation = thing.position[None], rotation.normalise(thing.orientation)[None]
             if name in state.motion:  # where it was at the start of each step
-                pose = reply.pose[:, scene.moving().index(name)]
-                position = jnp.concatenate([position, pose[:-1, :3]])
-                orientation = jnp.concatenate([orientation, pose[:-1, 3:]])
+                first, pose = state.motion[name], reply.pose[:, scene.moving().index(name)]
+                position = jnp.concatenate([first.position[None], pose[:-1, :3]])
+                orientation = jnp.concatenate([first.orientation[None], pose[:-1, 3:]])
             matrix = jnp.broadcast_to(jax.vmap(rotation.to_matrix)(orientation), (len(path), 3, 3))
             local = jax.vmap(rotation.turn_back)(matrix, path - position[:, None, :])
             near = jax.vmap(jax.vmap(thing.shape.closest))(local)
@@ -202,7 +205,7 @@ def grips(
             found[f"contact.{name}"] = grip_of(touch, jnp.zeros(touch.normal_force.shape, jnp.int32), None)
         return found
 
-    return each(one, scene, (hips, gimbals), layout)
+    return each(one, (scene, starts), (hips, gimbals), layout)
 
 
 def _part(parameter: Parameter) -> str:

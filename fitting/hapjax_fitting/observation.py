@@ -1,6 +1,8 @@
 """What a recording says about a scene: measured samples beside the model's, each channel at its own times."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 import equinox as eqx
 import jax
@@ -8,19 +10,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from hapjax import InputError, Recording, Reply, Scene, State, init, rollout, rotation, step
+from hapjax import InputError, Recording, Reply, Scene, State, rollout, rotation, step
 from hapjax.errors import within
 
 from .course import Course, restarted
 from .sensors import Sensors
 from .sharding import Layout, gathered
 from .spells import forces_in, onwards
+from .start import Start, begun
 
 CHANNELS = ("force", "pose")
 _LARGEST = 1e6  # N or m
 LOST = 1e6  # the whitened residual of what the model cannot follow
 _MOST_STEPS = 10_000_000  # almost three hours at 1 kHz
 PERFECT = Sensors()
+AT_REST: Mapping[str, Start] = MappingProxyType({})  # where the scene puts things
 
 
 class Samples(eqx.Module):
@@ -131,7 +135,11 @@ def as_sensed(sensors: Sensors, observation: Observation, dt: Float[Array, ""]) 
 
 
 def residuals(
-    scene: Scene, observation: Observation, noise: Noise, sensors: Sensors = PERFECT
+    scene: Scene,
+    observation: Observation,
+    noise: Noise,
+    sensors: Sensors = PERFECT,
+    starts: Mapping[str, Start] = AT_REST,
 ) -> dict[str, Float[Array, "N m"]]:
     """Predicted minus measured over the noise, m numbers a sample, for each of `force`, `position`, `angle`.
 
@@ -140,7 +148,7 @@ def residuals(
     not drawn to where there are more of them.
     """
     found = {}
-    said = predicted(scene, observation, sensors)
+    said = predicted(scene, observation, sensors, starts)
     if observation.force is not None:
         found["force"] = (said["force"] - observation.force.value) / noise.force
     if observation.pose is not None:
@@ -151,20 +159,25 @@ def residuals(
 
 
 def predicted(
-    scene: Scene, observation: Observation, sensors: Sensors = PERFECT
+    scene: Scene,
+    observation: Observation,
+    sensors: Sensors = PERFECT,
+    starts: Mapping[str, Start] = AT_REST,
 ) -> dict[str, Float[Array, "N n m"]]:
     """What the sensors show of the scene in each observed channel at the times of its samples; NaN from a lost step on
     until the model is found again: at the next spell or restart, else nowhere."""
     observation = as_sensed(sensors, observation, scene.integrator.dt)
-    found = _predicted(scene, observation)
+    found = _predicted(scene, observation, starts)
     return found | {"force": sensors.shown(found["force"])} if "force" in found else found
 
 
-def _predicted(scene: Scene, observation: Observation) -> dict[str, Float[Array, "N n m"]]:
+def _predicted(
+    scene: Scene, observation: Observation, starts: Mapping[str, Start]
+) -> dict[str, Float[Array, "N n m"]]:
     if observation.spells is not None and observation.force is not None:
         force, lost = forces_in(scene, observation.hips, observation.spells)
         return {"force": _unless(lost, observation.force, force)}
-    state, reply = played(scene, observation.hips, observation.gimbals, observation.course)
+    state, reply = played(scene, observation.hips, observation.gimbals, observation.course, starts)
     found = {}
     if observation.force is not None:
         found["force"] = _unless(reply.lost, observation.force, reply.force)
@@ -189,10 +202,11 @@ def played(
     hips: Float[Array, "T F 3"],
     gimbals: Float[Array, "T F"] | None,
     course: Course | None = None,
+    starts: Mapping[str, Start] = AT_REST,
 ) -> tuple[State, Reply]:
     """The state before the first step, and the replies of all, with the restarts of a course. `lost` are all steps from a
     lost one on until the next restart."""
-    state = init(scene, hips[0], None if gimbals is None else gimbals[0])
+    state = begun(scene, starts, hips[0], None if gimbals is None else gimbals[0])
     if course is None:
         reply = rollout(scene, state, hips, gimbals=gimbals)[1]
         return state, replace(reply, lost=onwards(reply.lost))

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from hapjax import Body, InputError, Object
 
 from .sensors import Setup, size_of
+from .start import is_start, size_of_start
 from .transform import Identity, Log, Logit, Transform
 from .whole_body import COUNT, SIZES, as_shown, body_of, is_whole, of_leaf, shown
 
@@ -61,6 +62,8 @@ def size_at(parameter: Parameter, free: float, least: float = _SMALL) -> float:
     is usual of a sensor."""
     if is_whole(parameter.path):
         return SIZES[parameter.index or 0]
+    if is_start(parameter.path):
+        return size_of_start(parameter.path)
     usual = None if isinstance(parameter.transform, Logit) else size_of(parameter.path)
     if isinstance(parameter.transform, Identity):
         return max(abs(free), least if usual is None else usual)
@@ -265,7 +268,8 @@ def _transform(
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise InputError(f"bounds of {path} are {limits!r}; allowed: two finite numbers, the lower first")
         return Logit(low, high)
-    return Identity() if path.rsplit(".", 1)[-1] in _SIGNED else Log()
+    signed = is_start(path) or path.rsplit(".", 1)[-1] in _SIGNED
+    return Identity() if signed else Log()
 
 
 def _child(node: Any, name: str, walked: list[str], path: str) -> Any:
@@ -287,7 +291,7 @@ def _parts(node: Any) -> dict[str, Any]:
     if isinstance(node, Mapping):
         return dict(node)
     if isinstance(node, Setup):
-        return _parts(node.scene) | {"sensor": node.sensor}
+        return _parts(node.scene) | {"sensor": node.sensor, "start": node.start}
     if not dataclasses.is_dataclass(node):
         return {}
     parts = {f.name: getattr(node, f.name) for f in dataclasses.fields(node)}

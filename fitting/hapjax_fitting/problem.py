@@ -20,6 +20,7 @@ from .sensors import Sensors, Setup
 from .sharding import each, gathered
 from .solve import with_loss
 from .spells import spells_of
+from .start import Starts
 
 # Twice a difference in loss is chi-squared with one degree of freedom, which exceeds this once in a hundred.
 NOTICEABLE = 6.635
@@ -38,6 +39,7 @@ class Problem(eqx.Module):
     parameters: tuple[Parameter, ...] = eqx.field(static=True)
     sensors: Sensors = eqx.field(default_factory=Sensors)
     priors: Priors | None = None
+    starts: Starts = eqx.field(default_factory=dict)
     loss: str = eqx.field(static=True, default="squares")
 
     @property
@@ -67,7 +69,7 @@ class Problem(eqx.Module):
     def setup_at(self, free: Float[Array, " p"], place: Int[Array, ""] | int = 0) -> Setup:
         """The scene and the sensors with the free numbers put in, and with those of one recording."""
         values = jnp.stack([p.transform.value(x) for p, x in zip(self.parameters, free, strict=True)])
-        setup = Setup(self.scene, self.sensors)
+        setup = self._given(place)
         own = self.own(place)
         if own is None:
             return with_values(setup, self.parameters, values)
@@ -88,6 +90,10 @@ class Problem(eqx.Module):
             rows.setdefault(p.stem, []).append(i)
         return list(rows.values())
 
+    def _given(self, place: Int[Array, ""] | int) -> Setup:
+        """Scene, sensors and one recording's starts as they were before the fit."""
+        return Setup(self.scene, self.sensors, jax.tree.map(lambda x: x[place], self.starts))
+
     def known(self) -> int:
         """Of how many numbers something is known beforehand."""
         return 0 if self.priors is None else len(self.priors.places)
@@ -102,7 +108,7 @@ class Problem(eqx.Module):
 
     def start(self) -> Float[Array, " p"]:
         """The free numbers of the scene as it was given."""
-        values = values_of(Setup(self.scene, self.sensors), self.parameters)
+        values = [values_of(self._given(p.place or 0), (p,))[0] for p in self.parameters]
         return jnp.stack([p.transform.free(v) for p, v in zip(self.parameters, values, strict=True)])
 
 
@@ -178,7 +184,7 @@ def residuals_of(
     """Whitened residuals of one recording, at the free numbers and of the problem that all share."""
     free, problem = shared
     setup = problem.setup_at(free, observation.place)
-    return residuals(setup.scene, observation, problem.noise, setup.sensor)
+    return residuals(setup.scene, observation, problem.noise, setup.sensor, setup.start)
 
 
 def channels_of(stacked: Float[Any, " n"], problem: Problem) -> list[tuple[str, Float[np.ndarray, "_ _ _"]]]:

@@ -63,9 +63,9 @@ class Replay:
 
 def replay(result: FitResult, recording: Recording, name: str) -> Replay:
     """Play a recording through the fitted scene."""
-    scene, sensors = result.scene_of(name), result.sensors_of(name)
+    scene, sensors, starts = result.scene_of(name), result.sensors_of(name), result.starts_of(name)
     observation = observation_of(scene, recording, _channels(scene, recording), name)
-    said = jax.jit(predicted)(scene, observation, sensors)
+    said = jax.jit(predicted)(scene, observation, sensors, starts)
     assert recording.hip_t is not None
     dt = float(scene.integrator.dt)
     times = recording.hip_t[0] + dt * np.arange(len(observation.hips))
@@ -76,7 +76,7 @@ def replay(result: FitResult, recording: Recording, name: str) -> Replay:
         channels[key] = Compared(time, np.asarray(samples.value), np.asarray(said[key]))
     observation = as_sensed(sensors, observation, scene.integrator.dt)
     gimbals = None if observation.gimbals is None else observation.gimbals[None]
-    played = grips(scene, observation.hips[None], gimbals)
+    played = grips(scene, observation.hips[None], gimbals, starts)
     found = {path: jax.tree.map(lambda x: np.asarray(x)[0], grip) for path, grip in played.items()}
     return Replay(channels, [_touching(result, name, path, found, times, observation) for path in found])
 

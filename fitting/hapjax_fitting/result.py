@@ -15,6 +15,7 @@ from hapjax.files import replacing
 
 from .problem import Problem
 from .sensors import Sensors
+from .start import Start
 from .uncertainty import correlation
 
 
@@ -87,6 +88,10 @@ class FitResult:
     def sensors_of(self, name: str) -> Sensors:
         """The sensors with the best values for one of the recordings, by its name."""
         return self.problem.setup_at(jnp.asarray(self.free), self.names.index(name)).sensor
+
+    def starts_of(self, name: str) -> dict[str, Start]:
+        """How one of the recordings begins, by its name: of each object whose start is free, the best values."""
+        return self.problem.setup_at(jnp.asarray(self.free), self.names.index(name)).start
 
     @property
     def correlation(self) -> np.ndarray:

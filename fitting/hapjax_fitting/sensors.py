@@ -10,6 +10,8 @@ from jaxtyping import Array, Float
 
 from hapjax import InputError, Scene, rotation
 
+from .start import Starts
+
 # What each number is where a sensor is perfect, and how far off starts of a fit are to be.
 _NEUTRAL = {
     "force_bias": ((0.0, 0.0, 0.0), 0.2),
@@ -78,10 +80,12 @@ def _row(value: Array, like: Array) -> Array:
 
 
 class Setup(eqx.Module):
-    """All that a fit may find: the scene, and the sensors, whose paths begin with `sensor`."""
+    """All that a fit may find: the scene, the sensors, whose paths begin with `sensor`, and how its objects move at the
+    beginning, whose paths begin with `start`."""
 
     scene: Scene
     sensor: Sensors = eqx.field(default_factory=Sensors)
+    start: Starts = eqx.field(default_factory=dict)
 
 
 def explicit(sensors: Sensors, paths: list[str], dtype: Any) -> Sensors:

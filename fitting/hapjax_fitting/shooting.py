@@ -43,9 +43,10 @@ def shots(
 ) -> Float[Array, "s p"]:
     """Better starts for single shooting: one for each, until one of them explains the recordings or two agree.
 
-    The starts themselves where no poses were measured, or the first of them explains the recordings already.
+    The starts themselves where no poses were measured, or the first of them explains the recordings already; and where the
+    objects' first motions are free, because then the recordings are windows themselves.
     """
-    windows = _windows(problem, recordings)
+    windows = [] if problem.starts else _windows(problem, recordings)
     if not windows:
         return starts
     single, found, losses = _uncut(windows[0]), [], []
