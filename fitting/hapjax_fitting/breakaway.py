@@ -2,7 +2,8 @@
 
 Before that it sticks whatever mu_static is, and after that it slides at mu_kinetic; so the residuals are constant
 in mu_static but for jumps, where another step is the first to slide. Gradients are 0: it is searched by its loss, and its
-likelihood itself, a staircase, says how well it is known.
+likelihood itself, a staircase, says how well it is known. Where its jumps are depends on the other numbers, whose
+gradients do not see them: a search of those may stop at a jump, and all are then searched together.
 """
 
 from collections.abc import Callable
@@ -14,16 +15,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.special import ndtri
+from scipy.stats import qmc
 
 from .grip import largest_ratio, raised, value_near
 from .parameters import find_leaf
 from .problem import NOTICEABLE, Problem, loss_at
 from .sharding import gathered
+from .solve import Solutions
+from .uncertainty import certainty
 
 _LANES, _AT_ONCE = 50, 100_000  # rollouts side by side, and steps of them, to bound the memory
-_TRIED, _CELLS, _DRAWS = 100, 50, 20
+_TRIED = 100  # values of mu_static, for the same other numbers
+_TOGETHER, _FARTHER = 512, 2.0  # points, and how many times farther off than is likely
+_CELLS, _MARGIN = 1024, 20  # of a staircase, and how many at an end are to be unlikely
+_BEYOND, _WIDER = 0.1, 12  # a share of the width on either side, and how many times it may grow threefold
 _UNLIKELY = 15.0  # values less likely than the best by exp(-15) count for nothing
-_ZOOMS = 6
 _SAME = 1e-3  # a difference of a loss that is none
 
 
@@ -56,25 +63,76 @@ def is_static(problem: Problem, i: int) -> bool:
     return problem.parameters[i].path.endswith(".mu_static")
 
 
-def broken_away(free: Float[Array, " p"], problem: Problem, variance: float) -> Float[Array, " p"] | None:
-    """Free numbers with a mu_static that explains the data better, if there is one."""
-    found, lowest = None, float(loss_at(free, problem)) - NOTICEABLE * variance / 2
+def broken_away(ends: Solutions, problem: Problem, variance: float) -> Float[Array, " p"] | None:
+    """Free numbers that explain the data better with another mu_static, if there are any.
+
+    Or, where the search of the others stopped at a jump, those from which it may go on.
+    """
+    free, found, covariance = ends.free[ends.best], None, _covariance(ends)
+    lowest = float(ends.loss[ends.best]) - NOTICEABLE * variance / 2
     for i in filter(lambda i: is_static(problem, i), range(len(problem.parameters))):
-        start = free if found is None else found
-        low, high = _range(start, problem, i)
-        for _ in range(2):  # the second time more finely, about the best of the first
-            values = np.geomspace(low, high, _TRIED) if 0 < low < high else np.zeros(0)
-            if not len(values):
-                break
-            losses = _losses(np.tile(start, (len(values), 1)), problem, i, values)
-            best = int(np.argmin(losses))
-            # The middle of all that are as good: at the edge the next step of another number would meet a jump.
-            alike = np.flatnonzero(losses <= losses[best] + _SAME * variance)
-            middle = alike[(len(alike) - 1) // 2] if np.ptp(alike) < len(alike) else best
-            if losses[middle] < lowest:
-                lowest, found = float(losses[middle]), _with(start, problem, i, float(values[middle]))
-            low, high = float(values[max(best - 1, 0)]), float(values[min(alike[-1] + 1, _TRIED - 1)])
+        low, high = _range(free, problem, i)
+        if not 0 < low < high:
+            continue
+        scanned = _scanned(free, problem, i, variance, low, high)
+        if scanned.loss < lowest or scanned.at_a_jump:
+            free, lowest = scanned.free, min(scanned.loss, lowest)
+            found = free
+        others, _ = _draws(scanned.free, i, _FARTHER**2 * variance * covariance, _TOGETHER)
+        values = np.linspace(scanned.low, scanned.high, _TOGETHER)
+        losses = _losses(others, problem, i, values)
+        best = int(np.argmin(losses))
+        if losses[best] < lowest:
+            free = _with(jnp.asarray(others[best], free.dtype), problem, i, float(values[best]))
+            found, lowest = free, float(losses[best])
     return found
+
+
+def _covariance(ends: Solutions) -> Float[np.ndarray, "p p"]:
+    """Of the free numbers at the best end, for residuals of variance 1."""
+    matrix = np.asarray(ends.jacobian, np.float64)
+    rows, count = matrix.shape
+    return certainty(matrix, np.ones(rows), np.full(count, np.inf), np.ones(count, bool)).covariance
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """The free numbers with the best mu_static for these others, in the middle of all that are as good: at the edge the
+    next step of another number would meet a jump.
+
+    Their `loss`; between which values, `low` and `high`, others may be better together with other numbers; and whether
+    the mu_static before was `at_a_jump`.
+    """
+
+    free: Float[Array, " p"]
+    loss: float
+    low: float
+    high: float
+    at_a_jump: bool
+
+
+def _scanned(
+    free: Float[Array, " p"], problem: Problem, i: int, variance: float, low: float, high: float
+) -> _Scan:
+    """Look at values of number `i` from `low` to `high`, and then more finely about the best."""
+    least, most = low, high
+    for _ in range(2):
+        values = np.geomspace(low, high, _TRIED)
+        losses = _losses(np.tile(free, (_TRIED, 1)), problem, i, values)
+        best = int(np.argmin(losses))
+        alike = np.flatnonzero(losses <= losses[best] + _SAME * variance)
+        middle = int(alike[(len(alike) - 1) // 2]) if np.ptp(alike) < len(alike) else best
+        low, high = float(values[max(best - 1, 0)]), float(values[min(alike[-1] + 1, _TRIED - 1)])
+    first, last = values[max(alike[0] - 1, 0)], values[min(alike[-1] + 1, _TRIED - 1)]
+    inside = values[min(alike[0] + 1, alike[-1])], values[max(alike[-1] - 1, alike[0])]
+    value = float(problem.parameters[i].transform.value(free[i]))
+    return _Scan(
+        _with(free, problem, i, float(values[middle])),
+        float(losses[middle]),
+        max(least, float(first - (last - first) / 2)),
+        min(most, float(last + (last - first) / 2)),
+        bool(first <= value < inside[0] or inside[1] < value <= last),
+    )
 
 
 def posterior(
@@ -83,38 +141,40 @@ def posterior(
     """How likely each mu_static is; `variance`, that of the whitened residuals, `covariance`, that of the others.
 
     Where a jump of the likelihood is far above the noise, all values between two jumps are alike likely, and no other.
-    Where the jumps are depends on the other numbers, which are not known either: it is the mean over draws of them,
-    each as likely as the data make it.
+    Where the jumps are depends on the other numbers, which are not known either: each cell is tried with other ones,
+    as likely as the data make them.
     """
     low, high = _between(free, problem, i, 2 * _UNLIKELY * variance)
     least, most = _range(free, problem, i)
-    others, surplus = _draws(free, i, covariance)
-    for _ in range(_ZOOMS):
+    others, surplus = _draws(free, i, covariance, _CELLS)
+
+    def weighed(low: float, high: float, beyond: float):
+        low, high = max(least, low - beyond * (high - low)), min(most, high + beyond * (high - low))
         edges = np.linspace(low, high, _CELLS + 1)
-        middles = (edges[1:] + edges[:-1]) / 2
-        losses = _losses(np.tile(others, (_CELLS, 1)), problem, i, np.repeat(middles, len(others)))
-        logs = surplus - losses.reshape(_CELLS, len(others)) / variance
-        weight = np.exp(logs - logs.max()).sum(axis=1)
-        likely = np.flatnonzero(weight > np.exp(-_UNLIKELY) * weight.max())
-        wide, first, last = high - low, edges[likely[0]], edges[likely[-1] + 1]
-        low = max(least, low - wide / 2) if likely[0] == 0 else first
-        high = min(most, high + wide / 2) if likely[-1] == _CELLS - 1 else last
-        if low >= edges[0] and high <= edges[-1] and 2 * (high - low) > wide:
+        logs = surplus - _losses(others, problem, i, (edges[1:] + edges[:-1]) / 2) / variance
+        likely = np.flatnonzero(logs > logs.max() - _UNLIKELY)
+        return edges, np.exp(logs - logs.max()), likely[0], likely[-1] + 1
+
+    edges, weight, first, last = weighed(low, high, _BEYOND)
+    for _ in range(_WIDER):
+        is_cut = first < _MARGIN and edges[0] > least, last > _CELLS - _MARGIN and edges[-1] < most
+        if not any(is_cut):
             break
+        edges, weight, first, last = weighed(float(edges[first]), float(edges[last]), 1.0)
+    if 2 * (last - first) < _CELLS:
+        edges, weight, _, _ = weighed(float(edges[first]), float(edges[last]), _BEYOND)
     return Posterior(edges, weight / weight.sum())
 
 
-def _draws(free: Float[Array, " p"], i: int, covariance: Float[np.ndarray, "p p"]):
-    """Likely values of the other numbers, half of them opposite the other half; and by how much more often the data
-    want each than it is drawn, as a logarithm, but for the loss."""
+def _draws(free: Float[Array, " p"], i: int, covariance: Float[np.ndarray, "p p"], count: int):
+    """Likely values of the other numbers, evenly spread (Sobol' 1967, On the distribution of points in a cube), for
+    as many values of number `i` in a row; and by how much more often the data want each than it is drawn, as a
+    logarithm, but for the loss. `count`: a power of 2."""
     spread = np.array(covariance)
     spread[i], spread[:, i] = 0, 0
     size, direction = np.linalg.eigh(spread)
-    count = max(_DRAWS // 2, len(free))
-    # Made orthogonal: the draws have exactly the spread that is asked for, in every direction.
-    normal, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((count, len(free))))
-    normal *= np.sqrt(count)
-    normal = np.concatenate([normal, -normal]) * (size > 0)
+    even = qmc.Sobol(len(free), scramble=False).random(count) + 0.5 / count
+    normal = ndtri(even) * (size > 0)
     moved = (normal * np.sqrt(np.maximum(size, 0))) @ direction.T
     return np.asarray(free)[None] + moved, 0.5 * np.sum(normal**2, axis=1)
 

@@ -186,7 +186,9 @@ def _searches(
         if better is None:
             break
         about = scatter(better, problem.parameters, len(begin), spread, seed)
-        ends = ends.joined(_search(problem, about, max_steps, begun=len(ends.loss)))
+        before, ends = ends, ends.joined(_search(problem, about, max_steps, begun=len(ends.loss)))
+        if ends.loss[ends.best] == before.loss[before.best]:
+            break
     return ends
 
 
@@ -225,7 +227,7 @@ def _better(problem: Problem, ends: Solutions) -> Array | None:
         return holding
     flat = cost <= NOTICEABLE * variance
     found = slipping_instead(free, problem, flat, variance) if flat.any() else None
-    return broken_away(free, problem, variance) if found is None else found
+    return broken_away(ends, problem, variance) if found is None else found
 
 
 def _result(

@@ -12,7 +12,6 @@ from fitting_cases import floor, forces
 from hapjax.cli import main
 from hapjax_fitting.benchmark import by_hand, efficiency, report, starts
 from hapjax_fitting.benchmark.cases import CASES, Case, stroke
-from hapjax_fitting.breakaway import Posterior
 from hapjax_fitting.parameters import free_parameters
 
 FLOOR = "object.floor.surface."
@@ -58,25 +57,6 @@ def test_the_model_by_hand_is_the_same():
     np.testing.assert_allclose(
         by_hand.forces(0.6, 800.0, path[:, 0]), forces(floor(), path)[:, 0], atol=1e-12
     )
-
-
-def test_a_staircase_of_likelihood():
-    flat = Posterior(np.array([0.0, 1.0, 2.0]), np.array([0.5, 0.5]))
-    assert flat.mean() == 1 and flat.deviation() == pytest.approx(2 / np.sqrt(12))
-    np.testing.assert_allclose(flat.central(0.95), [0.05, 1.95])
-    steep = Posterior(np.array([0.0, 1.0, 3.0]), np.array([0.1, 0.9]))
-    np.testing.assert_allclose(steep.central(0.5), [1 + 2 * 0.15 / 0.9, 1 + 2 * 0.65 / 0.9])
-
-
-@pytest.mark.slow
-def test_static_mu_is_as_near_as_can_be_and_its_intervals_hold_it():
-    draws, allowed = 24, 3 / np.sqrt(2 * 24)  # 3 standard deviations of what chance makes of so few
-    row, _ = efficiency.measure("static, kinetic, viscous", draws)
-    assert [p["identified"] for p in row["parameters"]] == [draws] * 3
-    assert all(abs(p["ratio"] - 1) < 0.05 + allowed for p in row["parameters"])
-    cover = [p["cover"] for p in row["parameters"]]
-    # 95 % intervals that never miss are too wide.
-    assert min(cover) > 0.93 - 3 * np.sqrt(0.95 * 0.05 / draws) and np.mean(cover) < 1
 
 
 @pytest.mark.slow
