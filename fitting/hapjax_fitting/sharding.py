@@ -1,5 +1,6 @@
 """Recordings side by side: in batches, and over the devices of one process or of several."""
 
+import os
 import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -26,10 +27,27 @@ class Layout:
 
 def mesh_for(recordings: int) -> Mesh | None:
     """The devices for so many recordings, those of all processes; `None`: one alone."""
-    devices = jax.devices()
-    if jax.process_count() == 1:
+    devices, processes = jax.devices(), jax.process_count()
+    if devices[0].platform == "cpu":
+        # A CPU's devices wait for each other on threads of one pool, and for ever if the pool is not larger than that.
+        each_has = 1 if processes > 1 else max(1, _threads() // 2)
+        devices = [d for own in _by_process(devices) for d in own[:each_has]]
+    if processes == 1:
         devices = devices[:recordings]
     return Mesh(np.array(devices), (_AXIS,)) if len(devices) > 1 else None
+
+
+def _by_process(devices: Sequence[Any]) -> list[list[Any]]:
+    found: dict[int, list[Any]] = {}
+    for device in devices:
+        found.setdefault(device.process_index, []).append(device)
+    return list(found.values())
+
+
+def _threads() -> int:
+    """How many XLA runs a program on."""
+    schedulable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return int(os.environ.get("NPROC") or schedulable)
 
 
 def over_devices(groups: Sequence[T]) -> tuple[T, ...]:
