@@ -15,8 +15,8 @@ from .cases import CASES, DT, Case, shake, stroke
 
 TRUTH, START = (0.6, 800.0), (0.9, 500.0)
 _NOISE = 0.02  # N
-_STROKE = 1200  # steps
-COUNTS = (1, 10, 100)
+_STROKE, _SHORT = 1200, 300  # steps
+COUNTS = (10, 100, 1000)
 
 
 def minute(seconds: float, seed: int = 0) -> dict[str, Any]:
@@ -57,21 +57,21 @@ def grasp(seconds: float, seed: int = 0) -> dict[str, Any]:
 
 
 def numbers(counts: tuple[int, ...] = COUNTS) -> dict[str, Any]:
-    """s of fits of so many recordings at once, and the exponent of their growth over the last step."""
+    """s of fits of so many recordings of 0.3 s at once, and the exponent of their growth over the last step."""
     free = ("object.floor.surface.mu", "object.floor.surface.stiffness")
     taken = []
     for count in counts:
-        recordings = [strokes(2, seed) for seed in range(count)]
+        recordings = [strokes(1, seed, _SHORT) for seed in range(count)]
         run = _ready(lambda recordings=recordings: fit(_floor(*START), recordings, free))
         taken.append(_least(run, 2)[0])
     exponent = np.log(taken[-1] / taken[-2]) / np.log(counts[-1] / counts[-2])
     return {"recordings": list(counts), "fit_s": taken, "exponent": float(exponent)}
 
 
-def strokes(count: int, seed: int) -> Recording:
-    """So many strokes over a floor at 1 kHz, with white noise on the force."""
+def strokes(count: int, seed: int, steps: int = _STROKE) -> Recording:
+    """So many strokes over a floor at 1 kHz, of so many steps each, with white noise on the force."""
     random = np.random.default_rng(seed)
-    path = stroke(random, count, _STROKE)
+    path = stroke(random, count, steps)
     force = by_hand.forces(*TRUTH, path[:, 0])[:, None]
     t = DT * np.arange(len(path))
     return Recording(hip=path, hip_t=t, force=force + _NOISE * random.standard_normal(force.shape), force_t=t)
