@@ -10,11 +10,13 @@ import hapjax
 import hapjax_fitting
 from fitting_cases import floor, forces
 from hapjax.cli import main
-from hapjax_fitting.benchmark import by_hand, efficiency, report, starts
+from hapjax_fitting.benchmark import beside_mujoco, by_hand, efficiency, report, starts
 from hapjax_fitting.benchmark.cases import CASES, Case, stroke
 from hapjax_fitting.parameters import free_parameters
 
 FLOOR = "object.floor.surface."
+_PROGRAM = {"error": [1, 1], "width": [1, 1], "hold": [1, 1], "arrived": 1, "warm_s": 1.0, "first_s": 1.0}
+BESIDE = {"programs": {"hapjax": _PROGRAM}}  # tests/fitting/test_pushed.py measures it
 
 
 def least(case, path):
@@ -79,11 +81,13 @@ def test_what_ends_elsewhere_is_told_apart(monkeypatch):
 def test_the_command(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(report, "DRAWS", {"mu, stiffness": 100})
     monkeypatch.setattr(report, "FROM_AFAR", {"mu, stiffness": 100})
+    monkeypatch.setattr(beside_mujoco, "measure", lambda recordings: BESIDE | {"recordings": recordings})
     file, folder = tmp_path / "fit.json", tmp_path / "estimates"
     assert main(["benchmark", "fit", "--quick", "--json", str(file), "--out", str(folder)]) == 0
     figures = json.loads(file.read_text())
     assert [p["name"] for p in figures["efficiency"][0]["parameters"]] == [FLOOR + "mu", FLOOR + "stiffness"]
     assert figures["starts"] == [{"case": "mu, stiffness", "fits": 2, "at_best": 2, "said": 0, "hidden": 0}]
+    assert figures["beside_mujoco"]["recordings"] == 1
     minute = figures["minute"]
     np.testing.assert_allclose(minute["estimates"], [0.6, 800], rtol=0.02)
     np.testing.assert_allclose(minute["by_hand"], minute["estimates"], rtol=1e-4)
@@ -91,7 +95,7 @@ def test_the_command(tmp_path, capsys, monkeypatch):
     lines = (folder / "mu_stiffness.csv").read_text().splitlines()
     assert lines[0] == "recording,parameter,estimate,low95,high95" and len(lines) == 1 + 2 * 2
     said = capsys.readouterr().out
-    assert "surface.stiffness" in said and "by hand" in said
+    assert "surface.stiffness" in said and "by hand" in said and "pushed block, 1 recordings" in said
 
 
 def test_a_scene_is_refused(tmp_path, capsys):

@@ -17,7 +17,7 @@ from hapjax import InputError, Scene
 from hapjax.files import check_makeable, replacing
 
 from ..parameters import free_parameters
-from . import efficiency, speed, starts
+from . import beside_mujoco, efficiency, speed, starts
 from .cases import CASES
 
 DRAWS = {
@@ -53,6 +53,8 @@ def report(scene: Scene | None, quick: bool, out: Path | None, file: Path | None
         console.print(efficiency_table(figures["efficiency"]))
         figures["starts"] = [starts.from_afar(name, -(-fits // shorter)) for name, fits in FROM_AFAR.items()]
         console.print(starts_table(figures["starts"]))
+        figures["beside_mujoco"] = beside(max(1, beside_mujoco.RECORDINGS // shorter))
+        console.print(beside_table(figures["beside_mujoco"]), markup=False)
         figures["minute"] = speed.minute(_MINUTE / shorter)
         figures["grasp"] = speed.grasp(_GRASP / shorter)
         figures["recordings"] = speed.numbers(speed.COUNTS[:2] if quick else speed.COUNTS)
@@ -102,6 +104,37 @@ def starts_table(rows: Sequence[dict[str, Any]]) -> Table:
     )
     for row in rows:
         table.add_row(*(str(row[key]) for key in ("case", "fits", "at_best", "said", "hidden")))
+    return table
+
+
+def beside(recordings: int) -> dict[str, Any]:
+    """The figures beside `mujoco.sysid`, or what is `missing` for them."""
+    try:
+        return beside_mujoco.measure(recordings)
+    except InputError as error:
+        return {"missing": str(error)}
+
+
+def beside_table(figures: dict[str, Any]) -> Table | str:
+    """The fit beside `mujoco.sysid`, or why there is none."""
+    if "missing" in figures:
+        return f"Not beside mujoco.sysid: {figures['missing']}"
+    count = figures["recordings"]
+    table = Table(
+        "", *figures["programs"], title=f"mu and mass of a pushed block, {count} recordings", box=SIMPLE
+    )
+    for said, key, form in (
+        ("rms error of mu and mass, over the least", "error", "{:.2f}"),
+        ("width of 95 % intervals, over the least", "width", "{:.2f}"),
+        ("95 % intervals that hold", "hold", "{:.0%}"),
+    ):
+        table.add_row(
+            said, *(", ".join(form.format(x) for x in p[key]) for p in figures["programs"].values())
+        )
+    arrived = (f"{p['arrived']} of {count}" for p in figures["programs"].values())
+    table.add_row("starts up to a factor 10 off that end at the truth", *arrived)
+    for said, key in (("s from there, median", "warm_s"), ("s of the first fit", "first_s")):
+        table.add_row(said, *(f"{p[key]:.2f}" for p in figures["programs"].values()))
     return table
 
 
