@@ -187,7 +187,7 @@ def test_orders_are_the_theorys(name, integrator, coarse, fine):
     dts = np.logspace(coarse, fine, 4).tolist()
     sweep = _sweep.Sweep(dts, (), 3, 10 * _sweep.steps_of(case.seconds, dts)[-1])
     points, _ = _sweep.curve(case, integrator, case.truth(), case.truth(), sweep)
-    found = error.orders(points, case.seconds, error.SOLVED, True)
+    found = error.orders(points, case, error.SOLVED, True)
     expected = {"order": case.order(integrator).value, "gradient_order": case.gradient_order(integrator)}
     assert found == pytest.approx(expected, abs=0.2)
 
@@ -269,6 +269,8 @@ def test_an_order_is_fitted_to_the_finest_steps_above_the_noise():
     assert _order.fitted_order(dts, coarse, 1.0, 0.0) == pytest.approx(1, abs=0.03)
     assert _order.fitted_order(dts, np.full(13, 1e-12), 1.0, 1e-12) is None
     assert _order.fitted_order(dts[:3], [1.0, np.inf, None], 1.0, 0.0) is None
+    spun = 3 * dts**2 + 75 * np.finfo(float).eps / dts  # it turns by 75 rad
+    assert _order.fitted_order(dts, spun, 1.0, 0.0, 75.0) == pytest.approx(2, abs=0.05)
     unstable = np.where(dts > 2e-4, 0.1, 3 * dts**2)
     assert _order.fitted_order(dts, unstable, 1.0, 1e-12) == pytest.approx(2, abs=1e-6)
     # A step's rounding counts: 1e5 of them to 2e-10, and thrice that.

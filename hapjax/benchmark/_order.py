@@ -11,16 +11,17 @@ ROUNDING = 10 * np.finfo(float).eps  # of a step, in units of what is compared
 
 
 def fitted_order(
-    dts: Iterable[float], errors: Iterable[float | None], seconds: float, floor: float
+    dts: Iterable[float], errors: Iterable[float | None], seconds: float, floor: float, gain: float = 1.0
 ) -> float | None:
     """The slope of log error over log dt in the finest 1.5 decades in which errors stand above noise, and runs are stable.
 
-    The noise is `floor`, to which the truth is known, or the rounding of as many steps. `None`: fewer than three points.
+    The noise is `floor`, to which the truth is known, or the rounding of as many steps, times the `gain` with which it grows
+    by the end. `None`: fewer than three points.
     """
     kept = sorted(
         (dt, e)
         for dt, e in zip(dts, errors, strict=True)
-        if e is not None and np.isfinite(e) and e > 3 * max(floor, ROUNDING * seconds / dt)
+        if e is not None and np.isfinite(e) and e > 3 * max(floor, gain * ROUNDING * seconds / dt)
     )
     if len(kept) < LEAST:
         return None

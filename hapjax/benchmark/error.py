@@ -197,7 +197,7 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: A
         ours[name], order = points, case.order(name)
         curves[name] = {
             "compile_s": compile_s,
-            **orders(points, case.seconds, floor, order.value is not None),
+            **orders(points, case, floor, order.value is not None),
             "theory": order.value,
             "gradient_theory": case.gradient_order(name),
             "reason": order.reason,
@@ -213,7 +213,7 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: A
             theirs[name] = points
             dts, errors = [p.dt for p in points], [p.law_error for p in points]
             curves[f"MuJoCo {name}"] = {
-                "order": fitted_order(dts, errors, case.seconds, floor),
+                "order": fitted_order(dts, errors, case.seconds, floor, case.gain),
                 "points": [asdict(p) for p in points],
             }
         advance(case.name, 1.0)
@@ -231,12 +231,14 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: A
     }
 
 
-def orders(points: Sequence[Point], seconds: float, floor: float, has_order: bool) -> dict[str, float | None]:
+def orders(points: Sequence[Point], case: Case, floor: float, has_order: bool) -> dict[str, float | None]:
     """The orders; where theory has none, errors are rounding, or those of runs that blow up."""
     dts = [p.dt for p in points]
     return {
-        "order": fitted_order(dts, [p.error for p in points], seconds, floor) if has_order else None,
-        "gradient_order": fitted_order(dts, [p.gradient_error for p in points], seconds, SOLVED),
+        "order": fitted_order(dts, [p.error for p in points], case.seconds, floor, case.gain)
+        if has_order
+        else None,
+        "gradient_order": fitted_order(dts, [p.gradient_error for p in points], case.seconds, SOLVED),
     }
 
 

@@ -72,6 +72,8 @@ class Case:
       themselves. `None`: as it is.
     - `known`: where the truth comes from, in words.
     - `orders`: of integrators whose order differs here.
+    - `gain`: by how much a step's rounding grows by the end: of a fast body, about the angle (rad) that it turns, since what
+      its spin is off by goes on turning it.
     - `mujoco`: the model, or why there is none.
     """
 
@@ -92,6 +94,7 @@ class Case:
     rigid: Callable[[Scene, float], Scene] | None = None
     gradient: Gradient | None = None
     orders: Mapping[str, Order] = field(default_factory=dict)
+    gain: float = 1.0
 
     def order(self, integrator: str) -> Order:
         """The theory's order of an integrator on this case."""

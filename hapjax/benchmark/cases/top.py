@@ -71,6 +71,7 @@ TOP = Case(
     measure=lambda state: turned(state.motion["top"]),
     truth=lambda: turned_mujoco(free_truth()),
     known="closed form, Jacobi's elliptic functions",
+    gain=float(np.linalg.norm(SPIN) * SECONDS),
     mujoco=Mujoco(
         """<mujoco><option gravity="0 0 0"/><worldbody><body><freejoint/>
         <inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 2e-4 3e-4"/></body></worldbody></mujoco>""",
@@ -81,6 +82,7 @@ TOP = Case(
 
 
 MASS, HEAVY, HALF, STIFFNESS, FAST = 0.1, np.array([8e-5, 8e-5, 4e-5]), 0.03, 5000.0, 150.0
+SPUN = 0.5  # s
 TILT = Rotation.from_euler("x", 20, degrees=True)
 _DEPTH = MASS * G / STIFFNESS
 _FINGER = TILT.apply([0, 0, -HALF + _DEPTH])
@@ -97,7 +99,7 @@ def heavy_truth() -> np.ndarray:
         np.array([0, 0, -G]),
     )
     start = Place(np.zeros(3), TILT.as_matrix(), np.zeros(3), TILT.apply([0, 0, FAST]))
-    return turned_mujoco(solve(held, start, 0.5).matrix)
+    return turned_mujoco(solve(held, start, SPUN).matrix)
 
 
 def _heavy_start(model, data) -> None:
@@ -109,7 +111,7 @@ HEAVY_TOP = Case(
     name="heavy_top",
     title="heavy top that spins on a fingertip",
     unit="rad",
-    seconds=0.5,
+    seconds=SPUN,
     scene=lambda integrator: Scene(
         {
             "top": Object(
@@ -127,6 +129,7 @@ HEAVY_TOP = Case(
     measure=lambda state: turned(state.motion["top"]),
     truth=heavy_truth,
     known="independent equations, SciPy's DOP853 at 1e-12",
+    gain=FAST * SPUN,
     mujoco=Mujoco(
         f"""<mujoco><option gravity="0 0 {-G}"/><worldbody>
         <site name="finger" pos="{_FINGER[0]} {_FINGER[1]} {_FINGER[2]}"/>
