@@ -3,6 +3,8 @@
 Each contact point has a god-object of its own, with the friction and the damping of the pair.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -81,6 +83,9 @@ def start(contact: Contact, first: Mover, second: Mover) -> tuple[GodObject, ...
         local = _points_in(pair[a], pair[b])
         if pair[a].placed.shape.rounding() is None:
             memory.append(god_object.start(pair[b].placed.shape, contact, local))
+            own = _points_of(pair[a], pair[b])
+            if pair[a].placed.shape.goes_on(own, own) is not None:
+                memory[-1] = dataclasses.replace(memory[-1], own=own)
         else:
             sliding = jnp.zeros_like(local[:, 0]) if contact.remembers() else None
             memory.append(GodObject(local, jnp.zeros_like(local[:, 0]), sliding))
@@ -153,6 +158,8 @@ def _points_on(
     shape, radius = b.placed.shape, a.placed.shape.rounding()
     own, faces = _points_of(a, b), None
     points = b.placed.to_local(a.placed.to_world(own))
+    if gods.own is not None:
+        gods = _gone_on(gods, own, a, b)
     if radius is None:
         track, near = jax.vmap(shape.follow)(gods.track, points)
         if apart:
@@ -168,17 +175,29 @@ def _points_on(
     slip = None
     if contact.needs_velocity():
         slip = rotation.turn_back(b.placed.matrix, a.velocity_at(places) - b.velocity_at(places))
-    carried = _carried(a, b, own, radius, near)
+    carried = None if radius is None else _carried(a, b, radius, near)
     if carried is not None:
         carried = dt * carried
         gods = eqx.tree_at(lambda g: g.point, gods, gods.point - carried)
     meeting = god_object.meet(contact, gods, near, points, slip)
     names = contact.between[way[0]], contact.between[way[1]]
-    return Link(meeting, points, places, b.placed.matrix, track, gods.depth, None, carried, faces, *names)
+    kept = None if gods.own is None else own
+    return Link(
+        meeting, points, places, b.placed.matrix, track, gods.depth, None, carried, faces, *names, own=kept
+    )
 
 
-def _carried(a: Mover, b: Mover, own, radius, near: SurfacePoint):
-    """How fast the material of `a` passes through its contact points, in the frame of `b`; `None`: it does not.
+def _gone_on(gods: GodObject, own: Float[Array, "P 3"], a: Mover, b: Mover) -> GodObject:
+    """The god-objects of points that wander over the material of `a`: these hold the material, so they go along."""
+    assert gods.own is not None
+    which = a.placed.shape.goes_on(gods.own, own)
+    gods = jax.tree.map(lambda x: x[which], gods)
+    way = rotation.turn_back(b.placed.matrix, rotation.turn(a.placed.matrix, own - gods.own))
+    return dataclasses.replace(gods, point=gods.point + way)
+
+
+def _carried(a: Mover, b: Mover, radius, near: SurfacePoint):
+    """How fast the material of `a` passes through the contact points of its balls, in the frame of `b`; `None`: it does not.
 
     The lowest point of a rolling ball travels with its centre while the material there stands still: the god-object is
     held by the material, so it goes along.
@@ -188,13 +207,8 @@ def _carried(a: Mover, b: Mover, own, radius, near: SurfacePoint):
         spin = -other if spin is None else spin - other
     if spin is None:
         return None
-    if radius is not None:
-        arms = -radius * near.normal
-        return jnp.cross(jnp.broadcast_to(rotation.turn_back(b.placed.matrix, spin), arms.shape), arms)
-    carried = a.placed.shape.carried(own, rotation.turn_back(a.placed.matrix, spin))
-    if carried is None:
-        return None
-    return rotation.turn_back(b.placed.matrix, rotation.turn(a.placed.matrix, carried))
+    arms = -radius * near.normal
+    return jnp.cross(jnp.broadcast_to(rotation.turn_back(b.placed.matrix, spin), arms.shape), arms)
 
 
 def _edges_on(contact: Contact, gods: GodObject, a: Mover, b: Mover, dt: Float[Array, ""]) -> Link:

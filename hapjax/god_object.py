@@ -20,13 +20,14 @@ class GodObject(eqx.Module):
     `point` (m) is the god-object; out of contact it is the touching point itself. `depth` (m) is that of the last
     step; above 0 means that the point was in contact. `sliding` is what the friction law remembers (of static and
     kinetic friction, 1 while the god-object is dragged, else 0) and `track` what the shape does; each is `None` where
-    that is nothing.
+    that is nothing. `own` (m) is where a touching point that wanders over its object's material was in that object's frame.
     """
 
     point: Float[Array, "*n 3"]
     depth: Float[Array, "*n"]
     sliding: Float[Array, "*n"] | None
     track: Track | None = None
+    own: Float[Array, "*n 3"] | None = None
 
 
 class Touch(eqx.Module):

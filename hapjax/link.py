@@ -29,7 +29,8 @@ class Link(eqx.Module):
     - `before` (m): their depths in the step before.
     - `drive` (m/s): the fingers' own velocity in the world, where it is known.
     - `carried` (m): how far the material passed through the points in this step, which the offset knows already.
-      `None`: they are fixed in it.
+      `None`: they are fixed in it, or wander over it by jumps.
+    - `own` (m): where these are in the frame of `of`.
     - `faces`: which of them have a surface before them that they could run into. `None`: all.
     - `crossing`: they are where edges cross, and a god-object is kept as its offset.
     """
@@ -46,11 +47,13 @@ class Link(eqx.Module):
     of: str | None = eqx.field(static=True)
     on: str = eqx.field(static=True)
     crossing: bool = eqx.field(static=True, default=False)
+    own: Float[Array, "n 3"] | None = None
 
     def keep(self, pressed: Pressed) -> GodObject:
         """The god-objects after the step."""
         if not self.crossing:
-            return god_object.keep(self.meeting, pressed, self.point, self.track)
+            kept = god_object.keep(self.meeting, pressed, self.point, self.track)
+            return kept if self.own is None else dataclasses.replace(kept, own=self.own)
         depth = self.meeting.near.depth  # below 0: the pair lies apart
         return GodObject(jnp.where((depth > 0)[:, None], pressed.offset, 0), depth, pressed.sliding)
 

@@ -146,9 +146,12 @@ class Surface(eqx.Module):
             return self._along(_of_face(mu, face), normal, inside) * weight * safe.norm(inside)
 
         share = jnp.sum(jax.vmap(one)(corner.faces, corner.normals, corner.weights))
-        own = self._along(_of_face(mu, near.face), near.normal, direction)
-        spare = jnp.maximum(share, (1 + corner.spare) * own)
-        share = jnp.where(corner.spare > 0, spare, share)
+
+        def left(face, weight):
+            return self._along(_of_face(mu, face), near.normal, direction) * weight
+
+        more = jnp.maximum(share, jnp.sum(jax.vmap(left)(corner.left_faces, corner.left_weights)))
+        share = jnp.where(jnp.any(corner.left_weights > 0), more, share)
         return jnp.where(jnp.any(direction != 0), share, _of_face(mu, near.face))
 
     def _along(self, mu: Any, normal: Float[Array, "3"], direction: Float[Array, "3"]) -> Float[Array, ""]:

@@ -48,7 +48,7 @@ def followed(shape, ways):
 
 def _outside(point):
     return hapjax.shape.Track(
-        point, jnp.zeros_like(point), jnp.zeros_like(point[0]), jnp.zeros_like(point[:2])
+        point, jnp.zeros_like(point), jnp.zeros_like(point[0]), jnp.zeros((4, 3), point.dtype)
     )
 
 

@@ -51,34 +51,45 @@ def test_with_friction_the_force_never_jumps(name):
     assert touched > 5000
 
 
-def test_what_a_second_plane_held_is_let_go_with_the_way():
-    """Two planes at right angles held at 10 mm; the finger goes on 1 mm a step where only one plane is left."""
-    surface = hapjax.Surface(1000.0, mu=0.5)
+def test_what_several_planes_held_is_let_go_with_the_way():
+    """Two planes at right angles held at 10 mm; the finger goes on 1 mm a step where only a third one is left."""
+    surface = hapjax.Surface(1000.0, mu=[0.2, 0.5, 0.8])
     zero, along, up = jnp.zeros(()), jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.0, 1.0])
+    own, faces = jnp.array([1.0, 0.0, 0.0]), jnp.zeros(3, jnp.int32)
+    plane = Corner(jnp.tile(up, (3, 1)), own, faces, jnp.zeros(3), faces)
 
-    def left(numbers):
-        """By how much friction along the edge holds after each of six steps."""
+    def gone(track, query, depth=0.1):
+        near = SurfacePoint(query, up, jnp.asarray(depth), jnp.zeros((), jnp.int32), plane)
+        track, near = ease(track, query, near)
+        return track, surface.static_at(near, along) * near.depth
 
-        def one(track, query):
-            plane = Corner(jnp.tile(up, (3, 1)), jnp.array([1.0, 0.0, 0.0]), jnp.zeros(3, jnp.int32), zero)
-            down = SurfacePoint(query, up, jnp.array(0.1), jnp.zeros((), jnp.int32), plane)
-            track, near = ease(track, query, down)
-            return track, surface.static_at(near, along) * near.depth
+    def both(numbers):
+        """By how much friction along the edge holds after each of forty steps."""
+        planes = jnp.stack(
+            [numbers[0] * jnp.array([1.0, 1.0, 0.0]), jnp.array([1.0, 2.0, 2.0]), zero * own, zero * own]
+        )
+        before = Track(jnp.zeros(3), jnp.array([0.0, 0.01, 0.0]), zero, planes)
+        return jax.lax.scan(gone, before, numbers[1] * jnp.arange(1.0, 41.0)[:, None] * along[None])
 
-        before = Track(jnp.zeros(3), jnp.array([0.0, 0.01, 0.0]), zero, jnp.stack([numbers[0], zero]))
-        return jax.lax.scan(one, before, numbers[1] * jnp.arange(1.0, 7.0)[:, None] * along[None])[1]
+    held = jax.jit(lambda numbers: both(numbers)[1])
+    at = jnp.array([np.sqrt(0.5), 0.001])
+    limits, share = held(at), np.sqrt(0.5) * (0.5 + 0.8)
+    assert np.isclose(limits[0], share * 0.01, rtol=0.15)
+    assert np.all(np.abs(np.diff(limits)) <= 2 * share * 0.001)
+    track, last = both(at)[0], limits[-1]
+    assert not np.any(track.planes[2]) and np.isclose(last, 0.2 * np.linalg.norm(track.stretch))
 
-    left = jax.jit(left)
-    at = jnp.array([0.4142, 0.001])
-    limits = left(at)
-    assert np.isclose(limits[0], 0.5 * 0.01 * 1.4142, rtol=0.15)
-    assert np.all(np.abs(np.diff(limits)) <= 0.5 * 1.4142 * 0.0011)
-    forward, reverse = jax.jit(jax.jacfwd(left))(at), jax.jit(jax.jacrev(left))(at)
+    forward, reverse = jax.jit(jax.jacfwd(held))(at), jax.jit(jax.jacrev(held))(at)
     np.testing.assert_allclose(forward, reverse, atol=1e-12)
     for i in range(2):
         h = 1e-7 * jnp.eye(2)[i]
-        np.testing.assert_allclose(forward[:, i], (left(at + h) - left(at - h)) / 2e-7, atol=1e-6)
+        np.testing.assert_allclose(forward[:, i], (held(at + h) - held(at - h)) / 2e-7, atol=1e-6)
     assert np.all(np.any(np.asarray(forward) != 0, axis=0))
+
+    # Off the surface nothing is kept for the next touch.
+    began = both(jnp.array([np.sqrt(0.5), 1e-4]))[0]
+    assert np.any(began.planes[2])
+    assert not np.any(gone(began, jnp.array([1.0, 0.0, 0.0]), 0.0)[0].planes[::2])
 
 
 @pytest.mark.slow

@@ -84,7 +84,8 @@ def corner_of(
         jnp.where(alone[:, None], normal[None], normals),
         jnp.maximum(share, 0),
         jnp.where(alone, face, faces),
-        jnp.zeros_like(normal[0]),
+        jnp.zeros_like(share),
+        faces,
     )
 
 

@@ -14,14 +14,15 @@ class Corner(eqx.Module):
     """The planes that hold a point in a concave corner at once (Zilles and Salisbury 1995).
 
     normal . depth of the surface point is the sum of `weights` times depth times `normals`; planes that do not take
-    part have the weight 0. `faces` are their faces. `spare` is by how much more than 1 the surface point's own plane
-    weighs at least for friction, where planes have just let go.
+    part have the weight 0. `faces` are their faces. `left_weights` and `left_faces` are of planes that have just let go:
+    friction holds by at least as much as they would.
     """
 
     normals: Float[Array, "*n c 3"]
     weights: Float[Array, "*n c"]
     faces: Int[Array, "*n c"]
-    spare: Float[Array, "*n"]
+    left_weights: Float[Array, "*n c"]
+    left_faces: Int[Array, "*n c"]
 
 
 class SurfacePoint(eqx.Module):
@@ -43,14 +44,14 @@ class Track(eqx.Module):
 
     `query` (m) is the touching point of the last step, `stretch` (m) goes from it to the surface point and is 0 out of
     contact, `face` is the face that holds it: an integer, kept as a float so that a state has numbers of one type.
-    `weights` are by how much more than 1 its planes weighed together, and how much of that is spare, see `Corner`; `None`
-    on a shape that has no concave corners.
+    `planes` are the weights and faces of the planes that held it, and of those that had let go, see `Corner`; `None` on a
+    shape that has no concave corners.
     """
 
     query: Float[Array, "*n 3"]
     stretch: Float[Array, "*n 3"]
     face: Float[Array, "*n"]
-    weights: Float[Array, "*n 2"] | None = None
+    planes: Float[Array, "*n 4 3"] | None = None
 
 
 class Edges(eqx.Module):
@@ -118,8 +119,8 @@ class Shape(eqx.Module):
         """The radius (m) of the balls about its points. `None`: they are sharp."""
         return None
 
-    def carried(self, points: Float[Array, "P 3"], spin: Float[Array, "3"]) -> Float[Array, "P 3"] | None:
-        """The velocity (m/s) of the material at sharp points that stay while it turns by `spin` (rad/s) against them.
+    def goes_on(self, before: Float[Array, "P 3"], points: Float[Array, "P 3"]) -> Int[Array, "P"] | None:
+        """Of sharp points that wander over the material: for each, which one of those `before` it is nearest to.
 
         `None`: the points are fixed in the material.
         """
@@ -164,33 +165,37 @@ def ease(track: Track, query: Float[Array, "3"], near: SurfacePoint) -> tuple[Tr
     stretch = jnp.where(late, track.stretch + change * safe.divide(way, size), target)
     normal = jnp.where(late, safe.normalise(stretch), near.normal)
     depth = jnp.where(late, safe.norm(stretch), near.depth)
-    corner, weights = _let_go(near.corner, track.weights, late, normal, near.face, safe.divide(way, depth))
+    corner, planes = _let_go(near.corner, track.planes, late, normal, near.face, way, depth)
     point = SurfacePoint(jnp.where(late, query + stretch, near.point), normal, depth, near.face, corner)
-    return Track(query, stretch, near.face.astype(query.dtype), weights), point
+    return Track(query, stretch, near.face.astype(query.dtype), planes), point
 
 
 def _let_go(
     corner: Corner | None,
-    before: Float[Array, "2"] | None,
+    before: Float[Array, "4 3"] | None,
     late: Bool[Array, ""],
     normal: Float[Array, "3"],
     face: Int[Array, ""],
     way: Float[Array, ""],
-) -> tuple[Corner | None, Float[Array, "2"] | None]:
+    depth: Float[Array, ""],
+) -> tuple[Corner | None, Float[Array, "4 3"] | None]:
     """While the pull lags behind it is not yet that of the planes which the point has come to: its own plane holds.
 
-    Friction would fall at once to what one plane holds. What the others held besides is spare, and goes with the `way`, in
-    units of the depth.
+    Friction would fall at once to what one plane holds. What several held goes with the way, at the depth's pace.
     """
     if corner is None or before is None:
         return None, None
     first = (jnp.arange(3, dtype=jnp.int32) == 0).astype(normal.dtype)
-    more = jnp.where(late, 0, jnp.sum(corner.weights) - 1)
-    spare = jnp.maximum(before[1] - way, jnp.where(late, before[0], 0))
-    held = Corner(
-        jnp.where(late, normal[None], corner.normals),
-        jnp.where(late, first, corner.weights),
-        jnp.where(late, face, corner.faces),
-        spare,
+    weights = jnp.where(late, first, corner.weights)
+    faces = jnp.where(late, face, corner.faces)
+    held, held_faces, left, left_faces = before
+    whole = jnp.sum(left)
+    left = left * jnp.maximum(1 - safe.divide(way, depth * whole), 0)
+    several = late & (jnp.sum(held) > jnp.maximum(jnp.sum(left), 1))
+    left = jnp.where(depth > 0, jnp.where(several, held, left), 0)
+    left_faces = jnp.where(several, held_faces, left_faces)
+    planes = jnp.stack([jnp.where(depth > 0, weights, 0), faces.astype(normal.dtype), left, left_faces])
+    kept = Corner(
+        jnp.where(late, normal[None], corner.normals), weights, faces, left, left_faces.astype(jnp.int32)
     )
-    return held, jnp.stack([more, spare])
+    return kept, planes

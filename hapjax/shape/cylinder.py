@@ -13,7 +13,7 @@ from ._shape import BORDER, Axis, Edges, Shape, SurfacePoint, Track, begin, ease
 
 # Each rim as a polygon, where it crosses another object's edges; its chords lie up to 2 % of the radius inside.
 _CHORDS = 16
-_AROUND = np.linspace(0, 2 * np.pi, _CHORDS, endpoint=False)
+_AROUND = (np.arange(_CHORDS) + 0.5) * 2 * np.pi / _CHORDS
 _RIM = np.stack([np.cos(_AROUND), np.sin(_AROUND), np.zeros(_CHORDS)], axis=1)
 
 
@@ -79,7 +79,7 @@ class Cylinder(Shape):
     def points(self, facing) -> Float[Array, "8 3"]:
         """Four points of each rim, the first of them where the rim is deepest in the other object.
 
-        They stay where they are while the cylinder rolls.
+        They wander over the material while the cylinder rolls or wobbles.
         """
         axis = jnp.array([0, 0, 1], self.radius.dtype)
         rims = []
@@ -93,10 +93,15 @@ class Cylinder(Shape):
             rims += [end + self.radius * u for u in (down, side, -down, -side)]
         return jnp.stack(rims)
 
-    def carried(self, points: Float[Array, "8 3"], spin: Float[Array, "3"]) -> Float[Array, "8 3"]:
-        """The velocity (m/s) of the material at the rim's points against the points, in the cylinder's frame."""
-        axis = jnp.array([0, 0, 1], points.dtype)
-        return jnp.cross(jnp.broadcast_to(spin[2] * axis, points.shape), points)
+    def goes_on(self, before: Float[Array, "8 3"], points: Float[Array, "8 3"]) -> Int[Array, "8"]:
+        """The four points of a rim, turned by the nearest quarter turns: as it rocks through level the deepest point jumps
+        to the other side, but the four of them stay where they are."""
+        rims = jnp.arange(8, dtype=jnp.int32).reshape(2, 4)
+        first, now = before.reshape(2, 4, 3)[:, 0], points.reshape(2, 4, 3)[:, 0]
+        along = first[:, 0] * now[:, 0] + first[:, 1] * now[:, 1]
+        across = first[:, 0] * now[:, 1] - first[:, 1] * now[:, 0]
+        quarters = jnp.round(jnp.arctan2(across, along) / (jnp.pi / 2)).astype(jnp.int32)
+        return (4 * (rims // 4) + (rims + quarters[:, None]) % 4).reshape(8)
 
     def edges(self) -> Edges:
         """The chords of both rims."""

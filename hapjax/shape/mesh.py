@@ -138,8 +138,8 @@ class Mesh(Shape):
         """A point that appears inside is held by the nearest triangle."""
         triangle = self._nearest(query)
         track = begin(self._near(triangle, query), query)
-        weights = jnp.zeros(2, query.dtype) if self._has_corners else None
-        return Track(track.query, track.stretch, triangle.astype(query.dtype), weights)
+        planes = jnp.zeros((4, 3), query.dtype) if self._has_corners else None
+        return Track(track.query, track.stretch, triangle.astype(query.dtype), planes)
 
     def follow(self, track: Track, query: Float[Array, "3"]) -> tuple[Track, SurfacePoint]:
         """The local closest point downhill from where the point was held, or came in; see `Shape.follow`."""
@@ -157,7 +157,7 @@ class Mesh(Shape):
         )
         track, point = ease(track, query, near)
         kept = jnp.where(held, triangle, -1 - triangle).astype(query.dtype)
-        return Track(track.query, track.stretch, kept, track.weights), point
+        return Track(track.query, track.stretch, kept, track.planes), point
 
     def volume(self) -> Float[Array, ""]:
         """The volume, m^3."""
