@@ -101,6 +101,7 @@ def test_what_is_held_out_is_each_sample_once():
     for (kept,), (left,) in parts:
         assert len(left.force_t) == 80 and len(kept.force_t) == 240 and len(kept.hip_t) == 330
         assert not np.intersect1d(kept.force_t, left.force_t).size
+        assert np.sum(np.diff(left.force_t) > 1.5e-3) == 3  # four pieces, spread over its time
     held = np.concatenate([left.force_t for _, (left,) in parts])
     np.testing.assert_array_equal(np.sort(held), recording.force_t[:320])
     several = [recorded(floor(), seed, steps=40) for seed in range(6)]
