@@ -1,6 +1,7 @@
 """What a finger feels of a mesh from step to step: no jumps with friction, and right derivatives."""
 
 import itertools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -58,7 +59,7 @@ def test_what_several_planes_held_is_let_go_with_the_way():
     own, faces = jnp.array([1.0, 0.0, 0.0]), jnp.zeros(3, jnp.int32)
     plane = Corner(jnp.tile(up, (3, 1)), own, faces, jnp.zeros(3), faces)
 
-    def gone(track, query, depth=0.1):
+    def gone(track, query, depth=0.1) -> tuple[Any, Any]:
         near = SurfacePoint(query, up, jnp.asarray(depth), jnp.zeros((), jnp.int32), plane)
         track, near = ease(track, query, near)
         return track, surface.static_at(near, along) * near.depth
@@ -76,7 +77,8 @@ def test_what_several_planes_held_is_let_go_with_the_way():
     limits, share = held(at), np.sqrt(0.5) * (0.5 + 0.8)
     assert np.isclose(limits[0], share * 0.01, rtol=0.15)
     assert np.all(np.abs(np.diff(limits)) <= 2 * share * 0.001)
-    track, last = both(at)[0], limits[-1]
+    track: Any = both(at)[0]
+    last = limits[-1]
     assert not np.any(track.planes[2]) and np.isclose(last, 0.2 * np.linalg.norm(track.stretch))
 
     forward, reverse = jax.jit(jax.jacfwd(held))(at), jax.jit(jax.jacrev(held))(at)
@@ -87,7 +89,7 @@ def test_what_several_planes_held_is_let_go_with_the_way():
     assert np.all(np.any(np.asarray(forward) != 0, axis=0))
 
     # Off the surface nothing is kept for the next touch.
-    began = both(jnp.array([np.sqrt(0.5), 1e-4]))[0]
+    began: Any = both(jnp.array([np.sqrt(0.5), 1e-4]))[0]
     assert np.any(began.planes[2])
     assert not np.any(gone(began, jnp.array([1.0, 0.0, 0.0]), 0.0)[0].planes[::2])
 

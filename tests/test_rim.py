@@ -58,6 +58,24 @@ def test_a_cylinder_that_spins_upright_is_slowed_by_friction_as_a_ring_is():
     np.testing.assert_allclose(turned - turned[0], expected - expected[0], atol=0.03 * spin * t[-1])
 
 
+def test_what_friction_holds_in_twist_outlasts_the_rocking_through_level():
+    """Four springs k at the radius r: it swings about upright at w^2 = 4 k r^2 / (m r^2 / 2), while it rocks beside."""
+    k, r, spin, dt = 5e3, 0.02, 0.3, 5e-5
+    scene = over(
+        hapjax.Cylinder(r, 0.02), UPRIGHT, hapjax.Plane(), UPRIGHT, -MASS * G / (4 * k), k, None, 0.8, 1
+    )
+    scene = dataclasses.replace(scene, integrator=hapjax.SemiImplicit(dt))
+    hips = away(2000)
+    state = hapjax.init(scene, hips[0])
+    state = eqx.tree_at(lambda s: s.motion["it"].spin, state, jnp.array([spin, 0.0, spin]))
+    _, reply = hapjax.rollout(scene, state, hips)
+    turn, t = 2 * np.asarray(reply.pose[:, 0, 6]), dt * np.arange(1, len(hips) + 1)
+    swing = np.sqrt(8 * k / MASS)
+    rocked_by = 2 * np.asarray(reply.pose[:, 0, 4])
+    assert np.count_nonzero(np.diff(np.sign(rocked_by))) > 20
+    np.testing.assert_allclose(turn, spin / swing * np.sin(swing * t), atol=0.02 * spin / swing)
+
+
 def test_memories_go_to_the_nearest_points():
     shape = hapjax.Cylinder(0.02, 0.05)
 
