@@ -4,6 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from hapjax import Body, Box, Contact, Object, Plane, Recording, Scene, Surface, World, init, rollout
+from hapjax_fitting.noise import noise_of
+from hapjax_fitting.parameters import free_parameters
+from hapjax_fitting.priors import priors_of
+from hapjax_fitting.problem import Problem, grouped
+from hapjax_fitting.sensors import Sensors, Setup, explicit
 
 MU, STIFFNESS = "object.floor.surface.mu", "object.floor.surface.stiffness"
 BOTH = [MU, STIFFNESS]
@@ -74,3 +79,20 @@ def shaken_cube(seed=0, steps=400) -> Recording:
         pose=pose,
         pose_t=t[4::5] + 1e-3,  # a step's pose belongs to its end
     )
+
+
+def problem_for(scene, recordings, free, each=(), known=None, loss="squares") -> Problem:
+    """The problem of a fit, with noise that is given and priors that are `known`."""
+    names = [f"r{i}" for i in range(len(recordings))]
+    sensors = explicit(Sensors(), free, jnp.float64)
+    parameters = free_parameters(Setup(scene, sensors), free, None, each, names)
+    groups = grouped(scene, recordings, ("force", "pose"), names, parameters, sensors)
+    noise = noise_of(recordings, {"force": SIGMA, "position": 1e-4, "angle": 2e-3}, jnp.float64)
+    priors = priors_of(known, parameters, jnp.float64)
+    return Problem(scene, groups, noise, parameters, sensors, priors, loss=loss)
+
+
+def products(matrix, found):
+    """The inner products of the columns of residuals and Jacobian."""
+    rows = np.concatenate([np.asarray(found)[:, None], np.asarray(matrix)], axis=1)
+    return rows.T @ rows

@@ -50,8 +50,11 @@ def contact_of(result: FitResult) -> Contact | None:
             gimbals = None if group.gimbals is None else gathered(group.gimbals)[i][None]
             starts = result.problem.setup_at(jnp.asarray(result.free), int(group.places[i])).start
             found = grips(scene, jnp.asarray(path)[None], gimbals, starts)
+            steps = len(path) if group.steps is None else int(gathered(group.steps)[i])
             felt = {
-                name: np.asarray(g.normal_force)[0] for name, g in found.items() if g.direction is not None
+                name: np.asarray(g.normal_force)[0, :steps]
+                for name, g in found.items()
+                if g.direction is not None
             }
             if not felt or max(f.max() for f in felt.values()) <= 0:
                 continue

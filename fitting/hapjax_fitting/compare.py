@@ -12,7 +12,7 @@ from hapjax import InputError, Recording, Scene
 from .fit import fit
 from .noise import lost
 from .parameters import Selector
-from .problem import channels_of, grouped, stacked_residuals
+from .problem import channels_of, grouped, numbers_in, stacked_residuals
 from .result import FitResult
 from .section import Section
 
@@ -203,7 +203,7 @@ def _held_out(
         found = _residuals(part.free, held)
         if any(lost(r).any() for _, r in channels_of(found, held)):
             return None
-        square, count = square + float(np.sum(np.asarray(found) ** 2)), count + found.size
+        square, count = square + float(np.sum(np.asarray(found) ** 2)), count + numbers_in(groups)
     return float(np.sqrt(square / count)) if count else None
 
 

@@ -70,7 +70,8 @@ def _missing(free: Float[Array, " p"], problem: Problem) -> list[dict[str, Bool[
     def one(observation: Observation) -> dict[str, Bool[Array, " N"]]:
         setup = problem.setup_at(free, observation.place)
         said = predicted(setup.scene, observation, setup.sensor, setup.start)
-        return {key: jnp.any(jnp.isnan(value), axis=(1, 2)) for key, value in said.items()}
+        missing = {key: jnp.any(jnp.isnan(value), axis=(1, 2)) for key, value in said.items()}
+        return {key: getattr(observation, key).only(of_channel) for key, of_channel in missing.items()}
 
     return [jax.vmap(one)(group) for group in problem.groups]
 

@@ -147,6 +147,9 @@ def largest_ratio(free: Float[Array, " p"], problem: Problem, parameter: Paramet
             continue
         grip = _grips_in(free, problem, group, own)[_part(parameter)]
         normal, tangential = gathered(grip.normal_force), gathered(grip.friction_force)
+        if group.steps is not None:  # beyond, nothing was recorded
+            steps = gathered(group.steps)[own][:, None, None]
+            normal = np.where(np.arange(normal.shape[1])[:, None] < steps, normal, 0)
         firm = normal > 1e-3 * normal.max(initial=0)
         if parameter.index is not None:
             firm &= gathered(grip.face) == parameter.index

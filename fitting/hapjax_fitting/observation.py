@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from hapjax import InputError, Recording, Reply, Scene, State, rollout, rotation, step
 from hapjax.errors import within
@@ -29,11 +29,12 @@ AT_REST: Mapping[str, Start] = MappingProxyType({})  # where the scene puts thin
 
 class Samples(eqx.Module):
     """Measured values, and where they lie among the model's steps: between `index` and the next by
-    `weight`."""
+    `weight`; only the first `taken` were measured, the rest fills up (`None`: all were)."""
 
     value: Float[Array, "*r N n m"]
     index: Int[Array, "*r N"]
     weight: Float[Array, "*r N"]
+    taken: Int[Array, "*r"] | None = None
 
     def between(self, series: Float[Array, "T n m"]) -> Float[Array, "N n m"]:
         """The model's series at the measurement's times, linearly interpolated."""
@@ -45,13 +46,20 @@ class Samples(eqx.Module):
         first, second = steps[self.index], steps[self.index + 1]
         return (first & (self.weight < 1)) | (second & (self.weight > 0))
 
-    def earlier(self, steps: Float[Array, ""], length: int) -> "Samples":
+    def only(self, found: Shaped[Array, "N *k"]) -> Shaped[Array, "N *k"]:
+        """The same, with 0 for what was not measured."""
+        if self.taken is None:
+            return found
+        here = jnp.arange(len(found), dtype=self.taken.dtype) < self.taken
+        return jnp.where(here.reshape(-1, *(1 for _ in found.shape[1:])), found, jnp.zeros_like(found))
+
+    def earlier(self, steps: Float[Array, ""], length: Int[Array, ""] | int) -> "Samples":
         """The same samples so many steps earlier in a series of this length, none beyond its ends."""
         place = self.weight - steps
         whole = jnp.floor(place)
         index, weight = self.index + whole.astype(self.index.dtype), place - whole
         weight = jnp.where(index < 0, 0, jnp.where(index > length - 2, 1, weight))
-        return Samples(self.value, jnp.clip(index, 0, length - 2), weight)
+        return replace(self, index=jnp.clip(index, 0, length - 2), weight=weight)
 
 
 class Observation(eqx.Module):
@@ -61,7 +69,8 @@ class Observation(eqx.Module):
     `hips` (T, F, 3) m at intervals of the integrator's dt; `force` (N, F, 3) N; `pose` (N, O, 7); `gimbals` (T, F) rad,
     where the scene's torsion reads them; `place`, which of the recordings it is; `spells` (S, L), its spells of contact
     where they run side by side; `course`, where the model's objects are put back to where they were measured; `layout`,
-    over which devices stacked recordings are spread.
+    over which devices stacked recordings are spread; `steps`, how many are of the recording, the rest repeats its end
+    (`None`: all are).
     """
 
     hips: Float[Array, "*r T F 3"]
@@ -72,11 +81,26 @@ class Observation(eqx.Module):
     spells: Int[Array, "*r S L"] | None = None
     course: Course | None = None
     layout: Layout | None = eqx.field(static=True, default=None)
+    steps: Int[Array, "*r"] | None = None
 
     @property
     def count(self) -> int:
         """How many recordings are stacked, without those that only fill up."""
         return len(self.hips) if self.layout is None else self.layout.count
+
+    def numbers(self) -> int:
+        """How many numbers were measured, in one recording or in all that are stacked: a pose is seven, of which six are
+        free."""
+        recordings, found = self.count if self.hips.ndim == 4 else 1, 0
+        for samples, free in ((self.force, 3), (self.pose, 6)):
+            if samples is not None:
+                times = (
+                    recordings * samples.value.shape[-3]
+                    if samples.taken is None
+                    else int(np.sum(gathered(samples.taken)[: self.count]))
+                )
+                found += times * samples.value.shape[-2] * free
+        return found
 
     @property
     def places(self) -> Int[np.ndarray, " R"]:
@@ -126,7 +150,8 @@ def observation_of(scene: Scene, recording: Recording, channels: tuple[str, ...]
 
 def as_sensed(sensors: Sensors, observation: Observation, dt: Float[Array, ""]) -> Observation:
     """The observation with its path in the world's frame, and its samples at the times of what they show."""
-    steps, force, pose = len(observation.hips), observation.force, observation.pose
+    steps, force, pose = observation.steps, observation.force, observation.pose
+    steps = len(observation.hips) if steps is None else steps
     if force is not None and sensors.force_delay is not None:
         force = force.earlier(sensors.force_delay / dt, steps)
     if pose is not None and sensors.pose_delay is not None:
@@ -149,13 +174,19 @@ def residuals(
     """
     found = {}
     said = predicted(scene, observation, sensors, starts)
+
+    def kept(samples: Samples, r: Float[Array, "N n 3"]) -> Float[Array, "N m"]:
+        return samples.only(jnp.where(jnp.abs(r) < LOST, r, LOST).reshape(len(r), -1))
+
     if observation.force is not None:
-        found["force"] = (said["force"] - observation.force.value) / noise.force
+        found["force"] = kept(observation.force, (said["force"] - observation.force.value) / noise.force)
     if observation.pose is not None:
         pose, measured = said["pose"], observation.pose.value
-        found["position"] = (pose[..., :3] - measured[..., :3]) / noise.position
-        found["angle"] = _turn_between(measured[..., 3:], pose[..., 3:]) / noise.angle
-    return {key: jnp.where(jnp.abs(r) < LOST, r, LOST).reshape(len(r), -1) for key, r in found.items()}
+        off = (pose[..., :3] - measured[..., :3]) / noise.position
+        found["position"] = kept(observation.pose, off)
+        turned = _turn_between(measured[..., 3:], pose[..., 3:]) / noise.angle
+        found["angle"] = kept(observation.pose, turned)
+    return found
 
 
 def predicted(

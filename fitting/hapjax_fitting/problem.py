@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from hapjax import Recording, Scene
 
+from .lengths import alike
 from .observation import PERFECT, Noise, Observation, observation_of, residuals
 from .parameters import Parameter, moves_surface, report, reported, values_of, with_values
 from .priors import Priors
@@ -104,7 +105,7 @@ class Problem(eqx.Module):
 
     def measured(self) -> int:
         """How many numbers were measured: a pose is seven, of which six are free."""
-        return sum(numbers_in([group]) * group.count // len(group.hips) for group in self.groups)
+        return numbers_in(self.groups)
 
     def start(self) -> Float[Array, " p"]:
         """The free numbers of the scene as it was given."""
@@ -114,8 +115,7 @@ class Problem(eqx.Module):
 
 def numbers_in(observations: Collection[Observation]) -> int:
     """How many numbers were measured in them: a pose is seven, of which six are free."""
-    forces = sum(o.force.value.size for o in observations if o.force is not None)
-    return forces + sum(o.pose.value.size * 6 // 7 for o in observations if o.pose is not None)
+    return sum(observation.numbers() for observation in observations)
 
 
 def grouped(
@@ -126,7 +126,7 @@ def grouped(
     parameters: tuple[Parameter, ...],
     sensors: Sensors = PERFECT,
 ) -> tuple[Observation, ...]:
-    """Observations of equal sizes stacked along a first axis. **Raises:** `InputError` as
+    """Observations of about equal sizes stacked along a first axis. **Raises:** `InputError` as
     `observation_of`."""
     laid = [observation_of(scene, r, channels, name) for r, name in zip(recordings, names, strict=True)]
     return side_by_side(scene, laid, parameters, sensors)
@@ -136,12 +136,8 @@ def side_by_side(
     scene: Scene, laid: Sequence[Observation], parameters: tuple[Parameter, ...], sensors: Sensors = PERFECT
 ) -> tuple[Observation, ...]:
     """As `grouped`, of recordings that are laid on the scene's time grid already."""
-    groups: dict[object, list[Observation]] = {}
-    for place, observation in enumerate(laid):
-        placed = replace(observation, place=jnp.asarray(place, jnp.int32))
-        leaves, structure = jax.tree.flatten(placed)
-        groups.setdefault((structure, tuple(x.shape for x in leaves)), []).append(placed)
-    stacked = (jax.tree.map(lambda *x: jnp.stack(x), *group) for group in groups.values())
+    placed = [replace(o, place=jnp.asarray(place, jnp.int32)) for place, o in enumerate(laid)]
+    stacked = (jax.tree.map(lambda *x: jnp.stack(x), *group) for group in alike(placed))
     if scene.moving() or any(moves_surface(p) for p in parameters):
         return tuple(stacked)
     return tuple(
@@ -188,7 +184,7 @@ def residuals_of(
 
 
 def channels_of(stacked: Float[Any, " n"], problem: Problem) -> list[tuple[str, Float[np.ndarray, "_ _ _"]]]:
-    """The residuals in one vector, taken apart again as `by_channel` has them; without those of priors."""
+    """The residuals in one vector, taken apart again: of recordings of one length each, without those of priors."""
     found, begin = [], 0
     stacked = unrooted(np.asarray(stacked), problem.loss)
     for group in problem.groups:
@@ -198,7 +194,9 @@ def channels_of(stacked: Float[Any, " n"], problem: Problem) -> list[tuple[str, 
             recordings, (times, things) = group.count, samples.value.shape[1:3]
             size = recordings * times * things * 3
             piece = stacked[begin : begin + size].reshape(recordings, times, things * 3)
-            found.append((key, piece))
+            taken = None if samples.taken is None else gathered(samples.taken)[:recordings]
+            lengths = [times] if taken is None else np.unique(taken).tolist()
+            found += [(key, piece[(slice(None) if taken is None else taken == n), :n]) for n in lengths]
             begin += size
     return found
 

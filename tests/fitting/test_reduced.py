@@ -5,35 +5,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fitting_cases import MU, SIGMA, STIFFNESS, floor, held_cube, recorded, shaken_cube
-from hapjax_fitting.noise import noise_of
-from hapjax_fitting.parameters import free_parameters
-from hapjax_fitting.priors import priors_of
-from hapjax_fitting.problem import Problem, channels_of, grouped, residuals_at, stacked_residuals
+from fitting_cases import MU, STIFFNESS, floor, held_cube, problem_for, products, recorded, shaken_cube
+from hapjax_fitting.problem import channels_of, residuals_at, stacked_residuals
 from hapjax_fitting.reduced import reduced
-from hapjax_fitting.sensors import Sensors, Setup
 from hapjax_fitting.solve import jacobian
-
-
-def problem_of(scene, recordings, free, each=(), known=None, loss="squares"):
-    names = [f"r{i}" for i in range(len(recordings))]
-    parameters = free_parameters(Setup(scene, Sensors()), free, None, each, names)
-    groups = grouped(scene, recordings, ("force", "pose"), names, parameters)
-    noise = noise_of(recordings, {"force": SIGMA, "position": 1e-4, "angle": 2e-3}, jnp.float64)
-    return Problem(
-        scene, groups, noise, parameters, priors=priors_of(known, parameters, jnp.float64), loss=loss
-    )
-
-
-def products(matrix, found):
-    rows = np.concatenate([np.asarray(found)[:, None], np.asarray(matrix)], axis=1)
-    return rows.T @ rows
 
 
 def test_inner_products_are_those_of_all_rows():
     """Of recordings of two lengths, each with a mu of its own, with a prior, and a loss other than squares."""
     recordings = [recorded(floor(0.9), i, steps=steps) for i, steps in enumerate((60, 60, 45))]
-    problem = problem_of(floor(), recordings, [MU, STIFFNESS], (MU,), {STIFFNESS: (700.0, 0.1)}, "huber")
+    problem = problem_for(floor(), recordings, [MU, STIFFNESS], (MU,), {STIFFNESS: (700.0, 0.1)}, "huber")
     free = problem.start() + 0.1
     whole = jax.jit(lambda x, p: jacobian(stacked_residuals, x, p))(free, problem)
     few = jax.jit(reduced)(free, problem)
@@ -43,7 +24,7 @@ def test_inner_products_are_those_of_all_rows():
 
 @pytest.mark.slow
 def test_channels_keep_their_rows():
-    problem = problem_of(held_cube(), [shaken_cube(steps=60)], ["object.cube.body.mass"])
+    problem = problem_for(held_cube(), [shaken_cube(steps=60)], ["object.cube.body.mass"])
     free = problem.start() + 0.1
     channels = dict(channels_of(residuals_at(free, problem), problem))
     matrix, found = jax.jit(reduced)(free, problem)
