@@ -74,3 +74,16 @@ def test_one_that_nothing_shows():
 def test_an_identity_has_no_unit_to_be_wide_in():
     x, y, _ = SHOWN.T
     assert said([1e-6 * x, y], transforms=[Identity(), Log()])[0].startswith("The data fix each")
+    assert said([1e-6 * x, 1e-6 * x, y], transforms=[Identity(), Identity(), Log()]) == (
+        "The data fix c.",
+        "In these 3 s they fix a and b only through a combination.",
+    )
+
+
+def test_of_what_nothing_is_seen_nothing_is_combined():
+    x, y, _ = SHOWN.T
+    assert said([x, x, y], seen=[False, False, True]) == (
+        "The data fix c.",
+        "They do not fix a: nothing slipped.",
+        "They do not fix b: nothing slipped.",
+    )

@@ -13,7 +13,10 @@ import scipy.optimize
 from fitting_cases import BOTH, MU, SIGMA, STIFFNESS, TRUTH, floor, recorded
 from hapjax import InputError, Recording
 from hapjax_fitting import fit
-from hapjax_fitting.robust import rooted, slope, spread, unrooted
+from hapjax_fitting.problem import loss_at, stacked_residuals
+from hapjax_fitting.reduced import reduced
+from hapjax_fitting.robust import polished, rooted, slope, spread, unrooted
+from hapjax_fitting.solve import Solutions
 
 RHO: dict[str, Any] = {
     "huber": lambda r: np.where(abs(r) <= 1.345, r**2 / 2, 1.345 * (abs(r) - 1.345 / 2)),
@@ -86,6 +89,14 @@ def test_outliers_hardly_move_a_robust_fit(loss):
     assert result.loss == pytest.approx(total(result.free), rel=1e-9)
     assert result.loss <= other.fun + 1e-5
     np.testing.assert_allclose(result.free, other.x, atol=2e-5)
+    # Where Levenberg-Marquardt stops short, the last solver goes on.
+    short = jnp.asarray(result.free)[None] + 0.01
+    ends = Solutions(
+        short, loss_at(short[0], result.problem)[None], jnp.array([True]), jnp.array([1]), jnp.zeros((1, 2))
+    )
+    assert ends.loss[0] > result.loss + 1
+    ends = polished(stacked_residuals, reduced, ends, result.problem)
+    assert float(ends.loss[0]) == pytest.approx(result.loss, rel=1e-6)
 
 
 def test_an_unknown_loss_is_refused():
