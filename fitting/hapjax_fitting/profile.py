@@ -160,7 +160,7 @@ def _others(others: Float[Array, " q"], args: Any) -> Float[Array, " n"]:
 def _reduced(others: Float[Array, " q"], args: Any) -> tuple[Float[Array, "m q"], Float[Array, " m"]]:
     problem, place, which = args
     matrix, found = reduced(_inserted(others, place, which), problem)
-    index = jnp.arange(len(others))
+    index = jnp.arange(len(others), dtype=which.dtype)
     return matrix[:, jnp.where(index < which, index, index + 1)], found
 
 
