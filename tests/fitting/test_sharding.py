@@ -39,7 +39,11 @@ def of_two(arguments: list[str], of_second: list[str]) -> list[tuple[int, str, s
         )
         for i, own in enumerate((arguments, of_second))
     ]
-    said = [process.communicate(timeout=200) for process in started]
+    try:
+        said = [process.communicate(timeout=100) for process in started]
+    finally:
+        for process in started:
+            process.kill()
     return [(process.returncode, *words) for process, words in zip(started, said, strict=True)]
 
 
