@@ -10,7 +10,7 @@ import hapjax
 import hapjax_fitting
 from fitting_cases import floor, forces
 from hapjax.cli import main
-from hapjax_fitting.benchmark import beside_mujoco, by_hand, efficiency, report, starts
+from hapjax_fitting.benchmark import beside_mujoco, by_hand, efficiency, report, speed, starts
 from hapjax_fitting.benchmark.cases import CASES, Case, stroke
 from hapjax_fitting.parameters import free_parameters
 
@@ -81,6 +81,7 @@ def test_what_ends_elsewhere_is_told_apart(monkeypatch):
 def test_the_command(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(report, "DRAWS", {"mu, stiffness": 100})
     monkeypatch.setattr(report, "FROM_AFAR", {"mu, stiffness": 100})
+    monkeypatch.setattr(speed, "COUNTS", (1, 3, 9))
     monkeypatch.setattr(beside_mujoco, "measure", lambda recordings: BESIDE | {"recordings": recordings})
     file, folder = tmp_path / "fit.json", tmp_path / "estimates"
     assert main(["benchmark", "fit", "--quick", "--json", str(file), "--out", str(folder)]) == 0
@@ -91,7 +92,7 @@ def test_the_command(tmp_path, capsys, monkeypatch):
     minute = figures["minute"]
     np.testing.assert_allclose(minute["estimates"], [0.6, 800], rtol=0.02)
     np.testing.assert_allclose(minute["by_hand"], minute["estimates"], rtol=1e-4)
-    assert figures["recordings"]["recordings"] == [1, 10]
+    assert figures["recordings"]["recordings"] == [1, 3]
     lines = (folder / "mu_stiffness.csv").read_text().splitlines()
     assert lines[0] == "recording,parameter,estimate,low95,high95" and len(lines) == 1 + 2 * 2
     said = capsys.readouterr().out
