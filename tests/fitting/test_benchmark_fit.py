@@ -95,6 +95,7 @@ def test_the_command(tmp_path, capsys, monkeypatch):
     assert figures["recordings"]["recordings"] == [1, 3]
     lines = (folder / "mu_stiffness.csv").read_text().splitlines()
     assert lines[0] == "recording,parameter,estimate,low95,high95" and len(lines) == 1 + 2 * 2
+    assert lines[1].startswith(f"0,{FLOOR}mu,0.") and {len(line.split(",")) for line in lines} == {5}
     said = capsys.readouterr().out
     assert "surface.stiffness" in said and "by hand" in said and "pushed block, 1 recordings" in said
 
