@@ -191,8 +191,9 @@ def _gone_on(gods: GodObject, own: Float[Array, "P 3"], a: Mover, b: Mover) -> G
     """The god-objects of points that wander over the material of `a`: these hold the material, so they go along."""
     assert gods.own is not None
     which = a.placed.shape.goes_on(gods.own, own)
+    moved = own - gods.own[which]
     gods = jax.tree.map(lambda x: x[which], gods)
-    way = rotation.turn_back(b.placed.matrix, rotation.turn(a.placed.matrix, own - gods.own))
+    way = rotation.turn_back(b.placed.matrix, rotation.turn(a.placed.matrix, moved))
     return dataclasses.replace(gods, point=gods.point + way)
 
 

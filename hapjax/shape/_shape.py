@@ -184,7 +184,7 @@ def _let_go(
     Friction would fall at once to what one plane holds. What several held goes with the way, at the depth's pace.
     """
     if corner is None or before is None:
-        return None, None
+        return None, before
     first = (jnp.arange(3, dtype=jnp.int32) == 0).astype(normal.dtype)
     weights = jnp.where(late, first, corner.weights)
     faces = jnp.where(late, face, corner.faces)

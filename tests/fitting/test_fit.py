@@ -46,11 +46,11 @@ def within(result, name, truth, widths=3.0):
 
 @cache
 def draws():
-    """Estimates, standard errors and ends of the 95 % intervals, each (1000, 2); the noise alone differs."""
+    """Estimates, standard errors and ends of the 95 % intervals, each (600, 2); the noise alone differs."""
     t, path = stroke()
     clean = forces(floor(), path)
     found = []
-    for seed in range(1000):
+    for seed in range(600):
         force = clean + SIGMA * np.random.default_rng(seed).standard_normal(clean.shape)
         result = fitted(Recording(hip=path, hip_t=t, force=force, force_t=t))
         found.append([(p.estimate, p.standard_error, *p.interval95) for p in result.parameters.values()])
@@ -60,23 +60,23 @@ def draws():
 @pytest.mark.slow
 def test_estimates_lie_within_3_standard_errors_of_the_truth():
     estimate, error, _, _ = draws()
-    # Both numbers in at least 99 of 100 draws; of 1000, because of 100 chance takes two too often.
+    # Both numbers in at least 99 of 100 draws; of 600, because of 100 chance takes two too often.
     inside = np.abs(estimate - list(TRUTH.values())) <= 3 * error
-    assert np.sum(inside.all(axis=1)) >= 990
+    assert np.sum(inside.all(axis=1)) >= 594
 
 
 @pytest.mark.slow
 def test_standard_errors_are_the_errors_that_are_made():
     estimate, error, _, _ = draws()
     made = np.sqrt(np.mean((estimate - list(TRUTH.values())) ** 2, axis=0))
-    np.testing.assert_allclose(made / error.mean(axis=0), 1, atol=0.07)
+    np.testing.assert_allclose(made / error.mean(axis=0), 1, atol=0.09)
 
 
 @pytest.mark.slow
 def test_95_percent_intervals_hold_the_truth_about_95_times_in_100():
     _, _, low, high = draws()
     held = np.sum((low <= list(TRUTH.values())) & (list(TRUTH.values()) <= high), axis=0)
-    assert held.min() >= 930 and held.max() <= 970
+    assert held.min() >= 558 and held.max() <= 582
 
 
 @pytest.mark.parametrize("seed", range(3))
