@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from matplotlib.figure import Figure
+from npz_arrays import arrays_of
 from rich.console import Console
 from rich.table import Table
 
@@ -115,15 +116,7 @@ MODELS = {
 
 def read(path: Path) -> dict[str, Trial]:
     """The recordings of a file by name, in the order of their numbers."""
-    try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # numpy, zipfile and zlib raise a dozen kinds for what is no NPZ file
-        raise InputError(
-            f"{path}: expected a whole NPZ file of numbers, found another or a damaged one"
-        ) from error
+    arrays = arrays_of(path)
     tests = {}
     for name in sorted(arrays, key=lambda name: (len(name), name)):
         columns = arrays[name]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
+from npz_arrays import arrays_of
 
 from hapjax import InputError
 from hapjax_fitting import Drags
@@ -33,15 +34,7 @@ SHAPES = {
 
 def read(path: Path) -> dict[str, np.ndarray]:
     """The arrays of a file, checked."""
-    try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in ("offset", *SHAPES) if name in archive.files}
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # numpy, zipfile and zlib raise a dozen kinds for what is no NPZ file
-        raise InputError(
-            f"{path}: expected a whole NPZ file of numbers, found another or a damaged one"
-        ) from error
+    arrays = arrays_of(path)
     for name in ("offset", *SHAPES):
         if name not in arrays:
             raise InputError(f"{path}: array {name!r} is missing")

@@ -11,6 +11,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from npz_arrays import arrays_of
 from scipy.spatial.transform import Rotation
 
 from hapjax import InputError
@@ -59,15 +60,7 @@ class Toss:
 
 def read(path: Path) -> list[Toss]:
     """The tosses of a file. **Raises:** `InputError` in one sentence where it is not such a file."""
-    try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # numpy, zipfile and zlib raise a dozen kinds for what is no NPZ file
-        raise InputError(
-            f"{path}: expected a whole NPZ file of numbers, found another or a damaged one"
-        ) from error
+    arrays = arrays_of(path)
     state, offset = _array(path, arrays, "state", 2), _array(path, arrays, "offset", 1)
     if state.shape[1] != 13:
         raise InputError(f"{path}, state: shape {state.shape}; expected (samples, 13)")

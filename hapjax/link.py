@@ -29,7 +29,7 @@ class Link(eqx.Module):
     - `before` (m): their depths in the step before.
     - `drive` (m/s): the fingers' own velocity in the world, where it is known.
     - `carried` (m): how far the material passed through the points in this step, which the offset knows already.
-      `None`: they are fixed in it, or wander over it by jumps.
+      `None`: they are fixed in it, or the god-objects went along when they were read.
     - `own` (m): where these are in the frame of `of`.
     - `faces`: which of them have a surface before them that they could run into. `None`: all.
     - `crossing`: they are where edges cross, and a god-object is kept as its offset.

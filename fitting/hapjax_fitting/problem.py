@@ -1,4 +1,4 @@
-"""The least-squares problem of a fit: its residuals, their Jacobian, and the loss."""
+"""The least-squares problem of a fit: its residuals and the loss."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -31,8 +31,8 @@ KEYS = ("force", "position", "angle")
 
 
 class Problem(eqx.Module):
-    """What the residuals need besides the free numbers. Recordings of equal sizes are stacked, to run side
-    by side."""
+    """What the residuals need besides the free numbers. Recordings of about equal sizes are stacked, to run
+    side by side."""
 
     scene: Scene
     groups: tuple[Observation, ...]

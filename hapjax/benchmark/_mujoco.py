@@ -12,10 +12,8 @@ from ._sweep import LONG, REPEATS, Point, Sweep, difference, mean_square, neighb
 from .cases import Case, Mujoco
 
 INTEGRATORS = {"Euler": "mjINT_EULER", "implicitfast": "mjINT_IMPLICITFAST", "RK4": "mjINT_RK4"}
-NOSLIP, NOSLIP_ITERATIONS = (
-    "noslip",
-    10,
-)  # Euler, and then MuJoCo's pass that takes the slip out of what holds
+NOSLIP = "noslip"  # Euler, and then MuJoCo's pass that takes the slip out of what holds
+NOSLIP_ITERATIONS = 10
 
 
 def variants(case: Case) -> list[str]:
