@@ -120,8 +120,18 @@ def _point_ways(first: Shape, second: Shape) -> list[tuple[int, int]]:
     for of, shape in enumerate((first, second)):
         if isinstance(shape, Sphere):
             return [(of, 1 - of)]
-    has = [type(shape).points is not Shape.points for shape in (first, second)]
-    return [(of, 1 - of) for of in (0, 1) if has[of]]
+    pair = (first, second)
+    has = [type(shape).points is not Shape.points for shape in pair]
+    # A capsule is round all over: the circles of a cylinder's rims meet it, see `crossing`.
+    return [
+        (of, 1 - of)
+        for of in (0, 1)
+        if has[of] and not (_has_rims(pair[of]) and isinstance(pair[1 - of], Capsule))
+    ]
+
+
+def _has_rims(shape: Shape) -> bool:
+    return type(shape).rims is not Shape.rims
 
 
 def _edges_cross(first: Shape, second: Shape) -> bool:
@@ -171,6 +181,10 @@ def _points_on(
     if isinstance(shape, Capsule) and not (way[0] == 0 and isinstance(a.placed.shape, Capsule)):
         faces = jax.vmap(shape.has_side)(points)  # the balls at its ends touch by their own points
         near = eqx.tree_at(lambda n: n.depth, near, jnp.where(faces, near.depth, 0))
+    if _has_rims(a.placed.shape) and _has_rims(shape):
+        flat = near.face != 0  # the side is met by the circles
+        near = eqx.tree_at(lambda n: n.depth, near, jnp.where(flat, near.depth, 0))
+        faces = flat if faces is None else faces & flat
     places = b.placed.to_world(points)
     slip = None
     if contact.needs_velocity():

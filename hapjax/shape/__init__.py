@@ -4,6 +4,7 @@ from ._shape import BORDER as BORDER
 from ._shape import Axis as Axis
 from ._shape import Corner as Corner
 from ._shape import Edges as Edges
+from ._shape import Rims as Rims
 from ._shape import Shape as Shape
 from ._shape import SurfacePoint as SurfacePoint
 from ._shape import Track as Track

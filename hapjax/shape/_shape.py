@@ -63,10 +63,24 @@ class Edges(eqx.Module):
 
 
 class Axis(eqx.Module):
-    """A segment (m, in the shape's frame) that stands for a round side: all points within `radius` of its inside."""
+    """A segment (m, in the shape's frame) that stands for a round side: all points within `radius` of its inside.
+
+    `flat`: the shape ends where the segment does, so that a way out may lead through an end.
+    """
 
     start: Float[Array, "3"]
     end: Float[Array, "3"]
+    radius: Float[Array, ""]
+    flat: bool = eqx.field(static=True)
+
+
+class Rims(eqx.Module):
+    """Sharp circular edges: of each its `centre` (m) and two unit vectors in its plane, in the shape's frame, and their
+    `radius` (m). `x` × `y` is the outward normal of the flat face beside it."""
+
+    centre: Float[Array, "n 3"]
+    x: Float[Array, "n 3"]
+    y: Float[Array, "n 3"]
     radius: Float[Array, ""]
 
 
@@ -128,6 +142,10 @@ class Shape(eqx.Module):
 
     def edges(self) -> Edges | None:
         """Its sharp convex edges."""
+        return None
+
+    def rims(self) -> Rims | None:
+        """Its sharp circular edges, which against a round side stand for its `edges`."""
         return None
 
     def axis(self) -> Axis | None:

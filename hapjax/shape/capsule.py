@@ -59,7 +59,7 @@ class Capsule(Shape):
     def axis(self) -> Axis:
         """The segment."""
         first, last = self.points()
-        return Axis(first, last, self.radius)
+        return Axis(first, last, self.radius, flat=False)
 
     def has_side(self, query: Float[Array, "3"]) -> Bool[Array, ""]:
         """Whether the closest point of the segment is none of its ends."""

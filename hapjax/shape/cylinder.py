@@ -9,9 +9,9 @@ from jaxtyping import Array, Float, Int
 
 from .. import safe
 from .._validate import as_float, check_positive
-from ._shape import BORDER, Axis, Edges, Shape, SurfacePoint, Track, begin, ease
+from ._shape import BORDER, Axis, Edges, Rims, Shape, SurfacePoint, Track, begin, ease
 
-# Each rim as a polygon, where it crosses another object's edges; its chords lie up to 2 % of the radius inside.
+# Each rim as a polygon, where it crosses another object's straight edges; its chords lie up to 2 % of the radius inside.
 _CHORDS = 16
 _AROUND = (np.arange(_CHORDS) + 0.5) * 2 * np.pi / _CHORDS
 _RIM = np.stack([np.cos(_AROUND), np.sin(_AROUND), np.zeros(_CHORDS)], axis=1)
@@ -118,10 +118,17 @@ class Cylinder(Shape):
             normals.append(jnp.stack([outward, jnp.broadcast_to(sign * up, outward.shape)], axis=1))
         return Edges(jnp.concatenate(starts), jnp.concatenate(ends), jnp.concatenate(normals))
 
+    def rims(self) -> Rims:
+        """Both rims."""
+        frame = jnp.eye(3, dtype=self.radius.dtype)
+        half = frame[2] * self.length / 2
+        x = jnp.stack([frame[0], frame[0]])
+        return Rims(jnp.stack([half, -half]), x, jnp.stack([frame[1], -frame[1]]), self.radius)
+
     def axis(self) -> Axis:
         """The side."""
         half = jnp.array([0, 0, 1], self.radius.dtype) * self.length / 2
-        return Axis(half, -half, self.radius)
+        return Axis(half, -half, self.radius, flat=True)
 
     def thickness(self) -> Float[Array, ""]:
         """Half the smaller of diameter and length."""
