@@ -211,8 +211,8 @@ def benchmark(
     missed ticks at 1 kHz, compile time. scene: equations, floating-point operations and time of a step of the scene,
     and of the scene with each part switched off in turn. stability: where each integrator settles, rings or blows up, and
     how stiff a wall a device can press on. error: error against run time of each integrator, beside MuJoCo's, on cases
-    with a known truth. gradient: time and memory of gradients beside the forward pass. batch: steps a second of batches of
-    rollouts, and how far a held object creeps, beside MuJoCo's. fit: errors of estimates beside the least
+    with a known truth. gradient: time and memory of gradients beside the forward pass. batch: steps and gradients a second
+    of batches of rollouts, and how far a held object creeps, beside MuJoCo's. fit: errors of estimates beside the least
     possible, how often 95 % intervals hold the truth, how long fits take. Example: hapjax benchmark latency --json l.json
 
     Args:

@@ -1,4 +1,4 @@
-"""How many steps a second a batch of rollouts does, beside MuJoCo's; and how far a held object creeps in both."""
+"""How many steps and gradients a second a batch does, beside MuJoCo's steps, and how far a held object creeps in both."""
 
 import json
 import os
@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 from rich.console import Console
 from rich.table import Table
 
@@ -20,7 +21,7 @@ from ..extras import need
 from ..files import replacing
 from ..integrate import METHODS
 from ..scene import Scene
-from ..simulate import init, rollout
+from ..simulate import State, init, rollout
 from . import _grip
 from ._mujoco import NOSLIP_ITERATIONS
 
@@ -36,7 +37,8 @@ def measure(
     """Steps a second of batches of three-finger grips, and creep in m of one that is held for `held` s.
 
     `batches`: of each of `sizes`, `one_call` of a vmapped rollout, `two_threads`, each of which runs half, and `mujoco`'s
-    rollout on two threads; the best of several runs that take turns. `ratio`: hapjax's best over MuJoCo's best.
+    rollout on two threads; the best of several runs that take turns. `gradients`: so many rollouts a second with the
+    reverse-mode gradient of each in every number of the scene. `ratio`: hapjax's best over MuJoCo's best.
     `creep`: of each of `integrators` (none: all), of MuJoCo and of MuJoCo with its pass against slip, for each of `TILTS`.
     """
     mujoco = need("mujoco", "bench")
@@ -88,6 +90,7 @@ def report(scene: Scene | None, fingers: int, file: Path | None) -> None:
 def _batch(size: int, steps: int) -> dict[str, Any]:
     whole, compile_s = _rollouts(size, steps)
     half = whole if size == 1 else _rollouts(size // 2, steps)[0]
+    gradients, gradient_compile_s = _gradients(size, steps)
     with ThreadPoolExecutor(THREADS) as pool:
 
         def halves():
@@ -96,11 +99,13 @@ def _batch(size: int, steps: int) -> dict[str, Any]:
         runs = {
             "one_call": (lambda: jax.block_until_ready(whole()), size),
             "two_threads": (halves, THREADS * max(size // 2, 1)),
+            "gradients": (lambda: jax.block_until_ready(gradients()), size),
         }
         with need("mujoco.rollout", "bench").Rollout(nthread=THREADS) as theirs:
             runs["mujoco"] = (_mujoco_rollouts(theirs, size, steps), size)
             rates = _rates(runs, steps)
-    return {"size": size, **rates, "compile_s": compile_s}
+    rates["gradients"] /= steps
+    return {"size": size, **rates, "compile_s": compile_s, "gradient_compile_s": gradient_compile_s}
 
 
 def _rates(runs: dict[str, tuple[Callable[[], Any], int]], steps: int, rounds: int = 5) -> dict[str, float]:
@@ -115,13 +120,18 @@ def _rates(runs: dict[str, tuple[Callable[[], Any], int]], steps: int, rounds: i
     return {name: float(n * steps / s) for (name, (_, n)), s in zip(runs.items(), best, strict=True)}
 
 
-def _rollouts(size: int, steps: int) -> tuple[Callable[[], Any], float]:
-    """A compiled batch of grips, each pressed a little differently, and s to compile it."""
+def _grips(size: int, steps: int) -> tuple[Scene, State, Float[Array, "N T 3 3"]]:
+    """A batch of grips, each pressed a little differently."""
     scene = _grip.scene()
     hips = jnp.asarray(_grip.grip(steps, 0.0), _grip.precision())
     shift = jnp.linspace(-1e-4, 1e-4, size, dtype=hips.dtype)
     paths = hips[None] + shift[:, None, None, None]
-    start = jax.vmap(lambda path: init(scene, path[0]))(paths)
+    return scene, jax.vmap(lambda path: init(scene, path[0]))(paths), paths
+
+
+def _rollouts(size: int, steps: int) -> tuple[Callable[[], Any], float]:
+    """A compiled batch of grips, and s to compile it."""
+    scene, start, paths = _grips(size, steps)
 
     def ends(state, paths):
         def one(state, path):
@@ -133,6 +143,19 @@ def _rollouts(size: int, steps: int) -> tuple[Callable[[], Any], float]:
     began = time.perf_counter()
     program = jax.jit(ends).lower(start, paths).compile()
     return lambda: program(start, paths), time.perf_counter() - began
+
+
+def _gradients(size: int, steps: int) -> tuple[Callable[[], Any], float]:
+    """The compiled gradients of a batch of grips, each in all of the scene's numbers, and s to compile them."""
+    scene, start, paths = _grips(size, steps)
+
+    def place(scene, state, path):
+        return jnp.sum(rollout(scene, state, path)[0].motion["cube"].position ** 2)
+
+    began = time.perf_counter()
+    slopes = jax.vmap(jax.grad(place, allow_int=True), in_axes=(None, 0, 0))
+    program = jax.jit(slopes).lower(scene, start, paths).compile()
+    return lambda: program(scene, start, paths), time.perf_counter() - began
 
 
 def _mujoco_rollouts(threads: Any, size: int, steps: int) -> Callable[[], Any]:
@@ -180,10 +203,13 @@ def _creep_mujoco(held: float, noslip: int, tilt: float) -> float:
 
 def _batch_table(figures: dict[str, Any]) -> Table:
     title = f"thousand steps a second: {figures['dtype']}, {figures['device']}, MuJoCo {figures['mujoco']}"
-    table = Table("batch", "one call", "two threads", "MuJoCo, two threads", "compile s", title=title)
+    columns = ("batch", "one call", "two threads", "MuJoCo, two threads", "compile s")
+    more = (f"gradients a second of {figures['steps']} steps", "compile s")
+    table = Table(*columns, *more, title=title)
     for row in figures["batches"]:
         rates = (f"{row[name] / 1e3:.0f}" for name in ("one_call", "two_threads", "mujoco"))
-        table.add_row(str(row["size"]), *rates, f"{row['compile_s']:.1f}")
+        gradients = (f"{row['gradients']:.4g}", f"{row['gradient_compile_s']:.1f}")
+        table.add_row(str(row["size"]), *rates, f"{row['compile_s']:.1f}", *gradients)
     return table
 
 
