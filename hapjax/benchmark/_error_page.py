@@ -36,12 +36,21 @@ _ORDERS = (
     "curve",
     "order",
     "theory",
-    "of the gradient",
-    "error at 1 ms",
-    "us a step",
+    "of the\ngradient",
+    "error\nat 1 ms",
+    "us\na step",
     "why not the usual",
 )
-_EQUAL = ("case", "at run s/s", "hapjax errs", "with", "MuJoCo errs", "with", "hapjax / MuJoCo", "why")
+_EQUAL = (
+    "case",
+    "at run\ns/s",
+    "hapjax\nerrs",
+    "with",
+    "MuJoCo\nerrs",
+    "with",
+    "over\nMuJoCo",
+    "why",
+)
 _CHOICES = ("integrator", "substeps", "error", "us a step")
 
 
@@ -79,9 +88,9 @@ def equal_rows(figures: dict[str, Any]) -> Iterator[list[str]]:
             name,
             f"{row['run']:.1e}",
             f"{ours['error']:.1e} {case['unit']}",
-            f"{ours['integrator']}, {_dt(ours['dt'])}",
+            f"{ours['integrator']}\n{_dt(ours['dt'])}",
             f"{theirs['error']:.1e}",
-            f"{theirs['integrator']}, {_dt(theirs['dt'])}",
+            f"{theirs['integrator']}\n{_dt(theirs['dt'])}",
             f"{row['factor']:.2g}",
             why(case, row),
         ]
@@ -118,15 +127,40 @@ def why(case: dict[str, Any], row: dict[str, Any]) -> str:
     return "the larger error at an equal step"
 
 
-def tables(figures: dict[str, Any]) -> list[Table]:
-    """The tables for a terminal."""
-    shown = []
+def tables(figures: dict[str, Any]) -> list[Table | str]:
+    """The tables for a terminal, also a narrow one: each case a section, and what is remarked below the table."""
+    shown: list[Table | str] = []
     for title, headings, rows in _tabled(figures):
-        table = Table(*headings, title=title, title_justify="left", box=SIMPLE)
+        remarks: list[str] = []
+        if headings[-1].startswith("why"):
+            headings, rows = (*headings[:-1], ""), [_noted(row, remarks) for row in rows]
+        if headings[0] == "case":
+            headings, rows = headings[1:], list(_sections(rows))
+        table = Table(title=title, title_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
+        for heading in headings:
+            table.add_column(heading, no_wrap=True)
         for row in rows:
             table.add_row(*row)
-        shown.append(table)
+        shown += [table, *(f"({n}) {remark}" for n, remark in enumerate(remarks, 1))]
     return shown
+
+
+def _noted(row: list[str], remarks: list[str]) -> list[str]:
+    """The row with the number of its remark in the place of it."""
+    *cells, remark = row
+    if remark and remark not in remarks:
+        remarks.append(remark)
+    return [*cells, f"({remarks.index(remark) + 1})" if remark else ""]
+
+
+def _sections(rows: list[list[str]]) -> Iterator[list[str]]:
+    """Rows without their first cell, which is a heading over those that have it in common."""
+    last = None
+    for first, *cells in rows:
+        if first != last:
+            yield [f"[bold]{first}[/]"]
+        last = first
+        yield [f"  {cells[0]}", *cells[1:]]
 
 
 def _tabled(figures: dict[str, Any]) -> list[tuple[str, tuple[str, ...], list[list[str]]]]:
