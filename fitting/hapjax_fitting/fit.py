@@ -177,7 +177,7 @@ def _searches(
     scattered = scatter(first, problem.parameters, starts, spread, seed)
     begin = shots(scattered, problem, recordings)
     ends = _search(problem, begin, max_steps)
-    if _is_stray(problem, ends):
+    if not problem.scene.moving() and _gone_astray(ends.loss, problem.measured()):  # else there are shots
         ends = ends.joined(
             _search(problem, _from_afar(problem, first, starts, seed), max_steps, begun=starts)
         )
@@ -192,13 +192,12 @@ def _searches(
     return ends
 
 
-def _is_stray(problem: Problem, ends: Solutions) -> bool:
-    """Whether no start explains the recordings, and no two ended at one loss, where only fingers move: else there are
-    shots."""
-    least = float(ends.loss[ends.best])
-    variance = 2 * least / problem.measured()
-    alike = int(jnp.sum(ends.loss <= least + NOTICEABLE * variance / 2))
-    return not problem.scene.moving() and len(ends.loss) > 1 and variance >= EXPLAINED**2 and alike < 2
+def _gone_astray(losses: Float[Array, " S"], measured: int) -> bool:
+    """Whether no start explains so many measured numbers, and fewer than half, or than two, ended at one loss."""
+    least = float(jnp.min(losses))
+    variance = 2 * least / measured
+    alike = int(jnp.sum(losses <= least + NOTICEABLE * variance / 2))
+    return len(losses) > 1 and variance >= EXPLAINED**2 and alike < max(2, len(losses) / 2)
 
 
 def _from_afar(problem: Problem, first: Float[Array, " p"], starts: int, seed: int) -> Float[Array, "S p"]:
@@ -320,12 +319,12 @@ def _seconds(recordings: Sequence[Recording]) -> float:
 def _why_not(tolerant: bool, size: float, near: int, starts: int) -> str | None:
     """Why a fit does not count as converged; `None`: it does.
 
-    A solver's tolerances are no evidence of the best fit: the model explains the recordings, or several starts ended
-    at the same loss.
+    A solver's tolerances are no evidence of the best fit: the model explains the recordings, or several starts, and no
+    small share of them, ended at the same loss.
     """
     if not tolerant:
         return "the solver reached max_steps before it met its tolerances"
-    if size >= EXPLAINED and near < 2:
+    if size >= EXPLAINED and near < max(2, starts / 4):
         return (
             f"the residuals are {size:.1f} times the noise, and {near} of {starts} starts ended at this loss"
         )
