@@ -182,7 +182,7 @@ def fit(
             figures["suggestion"] = suggestion.to_dict()
         sections = [part.section() for part in said]
         for section in sections:
-            Console().print(section.table())
+            Console().print(section)
         if json is not None:
             result.save_json(json, figures)
         if report is not None:

@@ -1,13 +1,16 @@
 """A part of a report beside the fit itself: sentences, a table, plots."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from html import escape
 
 from rich.box import SIMPLE
+from rich.console import Console, ConsoleOptions
 from rich.table import Table
+from rich.text import Text
 
 Images = list[tuple[str, str]]  # PNG in base64, caption
+_ENDLESS = 10_000  # columns
 
 
 @dataclass(frozen=True)
@@ -21,16 +24,19 @@ class Section:
     rows: tuple[tuple[str, ...], ...] = ()
     draw: Callable[[], Images] | None = None
 
-    def table(self) -> Table:
-        """For the terminal; print it with rich."""
-        shown = Table(
-            title=self.heading,
-            title_justify="left",
-            caption="\n".join(self.sentences) or None,
-            caption_justify="left",
-            box=SIMPLE,
-        )
-        for i, name in enumerate(self.columns):
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Table | Text]:
+        """For the terminal. Where it is too narrow, columns are numbered, and what they are stands below."""
+        table, legend = self._table(self.columns), []
+        if table.__rich_measure__(console, options.update(max_width=_ENDLESS)).maximum > options.max_width:
+            numbers = [f"({i})" for i in range(1, len(self.columns))]
+            table = self._table((*self.columns[:1], *numbers))
+            legend = [f"{i} {name}" for i, name in zip(numbers, self.columns[1:], strict=True)]
+        yield table
+        yield from map(Text, [*legend, *self.sentences])
+
+    def _table(self, columns: tuple[str, ...]) -> Table:
+        shown = Table(title=self.heading, title_justify="left", box=SIMPLE)
+        for i, name in enumerate(columns):
             shown.add_column(name, justify="right" if i else "left", no_wrap=i == 0, overflow="fold")
         for row in self.rows:
             shown.add_row(*row)

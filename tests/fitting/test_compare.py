@@ -132,6 +132,20 @@ def test_models_without_a_choice_of_what_is_free_are_refused():
         compare({"a": floor()}, recorded(floor(), steps=30), BOTH)
 
 
+@pytest.mark.parametrize(("width", "whole"), [(120, True), (60, False)])
+def test_a_section_too_wide_for_the_terminal_numbers_its_columns(width, whole, capsys):
+    from rich.console import Console
+
+    from hapjax_fitting import Section
+
+    names = ("object.cube.surface.mu", "object.cube.surface.stiffness", "object.cube.body.mass")
+    Console(width=width).print(Section("What", ("So it is.",), ("motion", *names), (("taps", *"123"),)))
+    shown = capsys.readouterr().out
+    assert ("(2) object.cube.surface.stiffness\n" not in shown) is whole
+    assert all(name in shown for name in names) and shown.rstrip().endswith("So it is.")
+    assert max(map(len, shown.splitlines())) <= width
+
+
 def test_a_section_is_escaped(tmp_path):
     from hapjax_fitting import Section
 
