@@ -3,7 +3,6 @@
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import count
 from numbers import Real
 from typing import Any
@@ -16,16 +15,17 @@ from jaxtyping import Array, Float
 from hapjax import InputError, Recording, Scene, cast
 
 from . import robust
-from .breakaway import broken_away, is_static, posterior
+from .breakaway import broken_away, is_static
 from .dropping import lost_at, lost_of, of_nothing, without
+from .estimates import breakaway, estimate, not_identified
 from .findings import findings_of
-from .grip import cost_of_grip, holding_instead, is_needed, largest_ratio, raised, slipping_instead
+from .grip import cost_of_grip, holding_instead, slipping_instead
 from .identifiability import identifiability
 from .interrupt import stopping_at_interrupts
 from .noise import lost as is_lost
 from .noise import noise_of, spread_of
 from .observation import CHANNELS, observation_of
-from .parameters import Parameter, Selector, free_parameters, paths_of, reported, scatter
+from .parameters import Selector, free_parameters, paths_of, reported, scatter
 from .priors import priors_of
 from .problem import (
     NOTICEABLE,
@@ -39,14 +39,13 @@ from .problem import (
 )
 from .progress import following
 from .reduced import reduced, reduced_rows
-from .result import Estimate, FitResult
+from .result import FitResult
 from .sensors import Sensors, Setup, explicit
 from .sharding import gathered, over_devices
 from .shooting import EXPLAINED, shots
 from .solve import Solutions, Trace, expect, listen, so_far, solve
 from .start import starts_of
-from .transform import Logit, Transform
-from .uncertainty import Certainty, certainty, information
+from .uncertainty import certainty, information
 from .whole_body import made_explicit
 
 _MOST_SEARCHES = 4
@@ -259,11 +258,11 @@ def _result(
     explained = max(size.values()) < _EXPLAINED  # in units of the noise
     jumping = [is_static(problem, i) and cost[i] > chance for i in range(len(free))]
     estimates = {
-        p.name: _breakaway(problem, free, i, typical, spread)
+        p.name: breakaway(problem, free, i, typical, spread)
         if jumping[i]
-        else _estimate(p, shown[i], known, i)
+        else estimate(p, shown[i], known, i)
         if known.identified[i]
-        else _not_identified(problem, free, known, i, float(cost[i]), chance, explained)
+        else not_identified(problem, free, known, i, float(cost[i]), chance, explained)
         for i, p in enumerate(said)
     }
     fisher = information(matrix, variance)
@@ -329,70 +328,6 @@ def _why_not(tolerant: bool, size: float, near: int, starts: int) -> str | None:
             f"the residuals are {size:.1f} times the noise, and {near} of {starts} starts ended at this loss"
         )
     return None
-
-
-@partial(jax.jit, static_argnums=0)
-def _slope(transform: Transform, free: Array) -> Array:
-    return jax.grad(transform.value)(free)
-
-
-def _estimate(parameter: Parameter, free: Array, known: Certainty, i: int) -> Estimate:
-    transform = parameter.transform
-    deviation = float(np.sqrt(known.covariance[i, i]))
-    slope = float(_slope(transform, free))
-    return Estimate(
-        float(transform.value(free)),
-        abs(slope) * deviation,
-        _interval(transform, free, deviation, 1.959964),
-        True,
-        interval99=_interval(transform, free, deviation, 2.575829),
-    )
-
-
-def _breakaway(problem: Problem, free: Array, i: int, variance: float, covariance: np.ndarray) -> Estimate:
-    """A mu_static, by its likelihood instead of by gradients: the mean and the middle of what it leaves."""
-    likely = posterior(free, problem, i, variance, covariance)
-    return Estimate(
-        likely.mean(), likely.deviation(), likely.central(0.95), True, interval99=likely.central(0.99)
-    )
-
-
-def _interval(transform, free, deviation: float, width: float) -> tuple[float, float]:
-    return float(transform.value(free - width * deviation)), float(transform.value(free + width * deviation))
-
-
-def _not_identified(
-    problem: Problem, free: Array, known: Certainty, i: int, cost: float, chance: float, explained: bool
-) -> Estimate:
-    """No number, but why not, and how large a mu is at least."""
-    parameter, bound = problem.parameters[i], None
-    end = _reached_bound(parameter, float(free[i]))
-    sticks = cost <= chance and not parameter.path.endswith("mu_kinetic")  # which says nothing of sliding
-    if sticks and explained:
-        bound = largest_ratio(raised(free, parameter, i) if cost <= 0 else free, problem, parameter) or None
-    if end is not None:
-        reason = f"ran to its bound {end:g}"
-    elif sticks and not explained:
-        reason = "the model does not explain the data"
-    elif bound is not None and not is_needed(bound, free, problem, i, chance / NOTICEABLE):
-        bound, reason = None, "the data do not depend on it"
-    elif cost <= chance and bound is None:
-        reason = "nothing slid" if parameter.path.endswith("mu_kinetic") else "nothing touched"
-    elif cost <= chance:
-        reason = "nothing slipped" if cost <= 0 else "hardly anything slipped"
-    elif known.tied_to(i):
-        reason = f"not to be told apart from {', '.join(problem.reported[j].name for j in known.tied_to(i))}"
-    elif known.covariance[i, i] > 0:
-        reason = "the data hardly depend on it"
-    else:
-        reason = "the data do not depend on it"
-    return Estimate(None, None, (bound, None), False, reason=reason)
-
-
-def _reached_bound(parameter: Parameter, free: float) -> float | None:
-    if not isinstance(parameter.transform, Logit) or abs(free) < np.log(100):
-        return None
-    return parameter.transform.high if free > 0 else parameter.transform.low
 
 
 def _check(scene: Any, recordings: Sequence[Any], names: Sequence[str], channels: tuple[str, ...]) -> None:
