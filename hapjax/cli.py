@@ -1,9 +1,10 @@
 """The command `hapjax`: arguments, exit codes, and the shortest way from each command to the library."""
 
+import os
 import sys
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 import jax
 import numpy as np
@@ -168,18 +169,14 @@ def fit(
         Console().print(fitting.table(result))
         for finding in result.findings:
             print(f"finding: {finding}")
-        if profile and not stopped:
-            profiles = {name: fitting.profile(result, name) for name in profile}
-            said += profiles.values()
-            figures["profiles"] = {name: found.to_dict() for name, found in profiles.items()}
-        if posterior is not None and not stopped:
-            drawn = fitting.posterior(result, posterior, seed)
-            said.append(drawn)
-            figures["posterior"] = drawn.to_dict()
-        if suggest and not stopped:
-            suggestion = fitting.suggest(result)
-            said.append(suggestion)
-            figures["suggestion"] = suggestion.to_dict()
+        asked = _asked(fitting, result, profile, posterior, seed, suggest)
+        found, stopped, refused = _as_far_as_it_goes(asked) if not stopped else ([], True, None)
+        for kind, name, part in found:
+            said.append(part)
+            if name is None:
+                figures[kind] = part.to_dict()
+            else:
+                figures.setdefault(kind, {})[name] = part.to_dict()
         sections = [part.section() for part in said]
         for section in sections:
             Console().print(section)
@@ -187,7 +184,32 @@ def fit(
             result.save_json(json, figures)
         if report is not None:
             print(f"report: {fitting.write_report(result, report, sections=sections)}")
+    if refused is not None:
+        raise refused
     return 130 if stopped else 0
+
+
+def _asked(fitting, result, profile: tuple[str, ...], posterior: int | None, seed: int, suggest: bool):
+    """What was asked for beside the fit, one after the other: what it is called in the figures, of which number, and it."""
+    for name in profile:
+        yield "profiles", name, lambda name=name: fitting.profile(result, name)
+    if posterior is not None:
+        yield "posterior", None, lambda: fitting.posterior(result, posterior, seed)
+    if suggest:
+        yield "suggestion", None, lambda: fitting.suggest(result)
+
+
+def _as_far_as_it_goes(asked) -> tuple[list[tuple[str, str | None, Any]], bool, InputError | None]:
+    """What was found, whether it was stopped by Ctrl-C, and the first refusal: none of it throws the fit away."""
+    found, refused = [], None
+    for kind, name, find in asked:
+        try:
+            found.append((kind, name, find()))
+        except InputError as error:
+            refused = error if refused is None else refused
+        except KeyboardInterrupt:
+            return found, True, refused
+    return found, False, refused
 
 
 def benchmark(
@@ -281,6 +303,20 @@ def main(arguments: list[str] | None = None) -> int:
         return _say("interrupted", 130)
     except OSError as error:
         return _say(f"{error.filename or 'output'}: {error.strerror or error}", 1)
+
+
+def run() -> NoReturn:
+    """The program: `main`, and its end.
+
+    What compiled code does when it is interrupted goes on in threads of its own, and would fail in the middle of taking
+    everything down. So an interrupted program ends at once.
+    """
+    code = main()
+    if code == 130:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 def _run(arguments: list[str]) -> int | None:

@@ -22,7 +22,7 @@ from .noise import lost, spread_of
 from .parameters import size_at
 from .problem import Problem, channels_of, stacked_residuals
 from .sharding import gathered
-from .solve import tell
+from .solve import keep, tell
 
 EXPLAINED = 2.0  # residuals up to so many times the noise: the model explains the recordings
 _SHORT, _FEW = 0.05, 5  # s and samples in the shortest windows but those of one step
@@ -54,7 +54,7 @@ def shots(
         tell(f"start {number} of at most {len(starts)}, in windows")
         end = start
         if found or not _is_explained(start, problem, single):
-            end = _better_of(_shot(start, windows), start, single)
+            end = _better_of(_shot(number - 1, start, windows, single), start, single)
         found.append(end)
         losses.append(float(_loss(_residuals(end[None], single))[0]))
         agree = len(losses) > 1 and np.sort(losses)[1] < (1 + _WORTH) * min(losses)
@@ -105,7 +105,9 @@ def _uncut(problem: Problem) -> Problem:
     return _with(problem, [group.course.uncut() for group in problem.groups if group.course is not None])
 
 
-def _shot(free: Float[np.ndarray, " p"], windows: Sequence[Problem]) -> Float[np.ndarray, " p"]:
+def _shot(
+    number: int, free: Float[np.ndarray, " p"], windows: Sequence[Problem], single: Problem
+) -> Float[np.ndarray, " p"]:
     """Down with short windows, looking about for what gradients do not lead to; then with longer and longer ones."""
     for problem in windows[:2]:
         for _ in range(_MOST_SCANS):
@@ -114,9 +116,18 @@ def _shot(free: Float[np.ndarray, " p"], windows: Sequence[Problem]) -> Float[np
             if better is None:
                 break
             free = better
+        _kept(number, free, single)
     for problem in windows[2:]:
         free = _descended(free, problem, 0.0)
+        _kept(number, free, single)
     return free
+
+
+def _kept(number: int, free: Float[np.ndarray, " p"], single: Problem) -> None:
+    """What a start has come to, should the search end here."""
+    loss = 0.5 * float(np.sum(_residuals(free[None], single) ** 2))
+    if np.isfinite(loss):
+        keep(number, loss, np.asarray(free, single.noise.force.dtype))
 
 
 def _descended(free: Float[np.ndarray, " p"], problem: Problem, pull: float) -> Float[np.ndarray, " p"]:

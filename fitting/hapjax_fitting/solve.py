@@ -67,10 +67,14 @@ class Trace:
     def add(self, start: int, step: int, loss: float, free: np.ndarray) -> None:
         """Note one step of one start."""
         self.losses.setdefault(start, {})[step] = loss
-        if loss < self.best.get(start, (float("inf"),))[0]:
-            self.best[start] = loss, free
+        self.keep(start, loss, free)
         if self.on_step is not None:
             self.on_step(start, step, loss)
+
+    def keep(self, start: int, loss: float, free: np.ndarray) -> None:
+        """Remember the numbers of a start if they are its best."""
+        if loss < self.best.get(start, (float("inf"),))[0]:
+            self.best[start] = loss, free
 
 
 _listening: list[Trace] = []
@@ -95,15 +99,32 @@ def tell(stage: str) -> None:
             trace.on_stage(stage)
 
 
+def keep(start: int, loss: float, free: np.ndarray) -> None:
+    """Have numbers that a start came to before the solver runs to go by, should the search end there."""
+    for trace in _listening:
+        trace.keep(start, loss, free)
+
+
 def expect(starts: int) -> None:
     """Say how many starts there will be, those included that are done."""
     for trace in _listening:
         trace.expected = starts
 
 
-def _hear(start: Array, step: Array, loss: Array, free: Array) -> None:
+def _bits(numbers: Float[Array, " n"]) -> Int[Array, "*n"]:
+    """Floats as whole numbers of 32 bits: the thread of a callback may not know that 64 bits are on, and would round."""
+    return jax.lax.bitcast_convert_type(numbers, jnp.int32)
+
+
+def _floats(bits: Int[Array, "*n"]) -> Float[np.ndarray, " n"]:
+    numbers = np.array(bits)
+    return numbers.view(np.float32 if numbers.ndim == 1 else np.float64).ravel()
+
+
+def _hear(start: Array, step: Array, bits: Int[Array, "*n"]) -> None:
+    loss, *free = _floats(bits)
     for trace in _listening:
-        trace.add(int(start), int(step), float(loss), np.asarray(free))
+        trace.add(int(start), int(step), float(loss), np.array(free))
         if trace.should_stop is not None and trace.should_stop():
             raise RuntimeError("interrupted")
 
@@ -172,7 +193,7 @@ def so_far(reduced: Reduced, args: Any, trace: Trace) -> Solutions:
     losses, found = zip(*(trace.best[start] for start in sorted(trace.best)), strict=True)
     free, loss = jnp.stack([jnp.asarray(x) for x in found]), jnp.asarray(losses, found[0].dtype)
     matrix, _ = eqx.filter_jit(reduced)(free[jnp.argmin(loss)], args)
-    steps = jnp.array([max(trace.losses[start]) for start in sorted(trace.best)])
+    steps = jnp.array([max(trace.losses.get(start, (0,))) for start in sorted(trace.best)])
     return Solutions(free, loss, jnp.zeros(len(loss), bool), steps, matrix)
 
 
@@ -199,7 +220,8 @@ def _solve(reduced: Reduced, starts, places, totals, args, rtol, atol, max_steps
 
     def one(start, place, total):
         def tell(num_steps, loss_this_step, y, **_):
-            jax.debug.callback(_hear, place, num_steps[1], loss_this_step[1] * total, y[1])
+            numbers = jnp.concatenate([(loss_this_step[1] * total)[None], y[1]])
+            jax.debug.callback(_hear, place, num_steps[1], _bits(numbers))
 
         # Levenberg-Marquardt begins with a damping of 1: right for a problem of about that size.
         scale = jax.lax.rsqrt(jnp.maximum(total, jnp.finfo(start.dtype).tiny))

@@ -5,10 +5,13 @@ import os
 import signal
 import sys
 
+import jax
 import pytest
 
 import hapjax
+import hapjax_fitting
 from fitting_cases import BOTH, MU, SIGMA, floor, recorded
+from hapjax import InputError
 from hapjax.cli import main
 from hapjax_fitting import fit, table
 from hapjax_fitting.progress import done
@@ -78,18 +81,48 @@ def test_a_handler_of_the_programs_own_is_left_alone(monkeypatch):
     assert heard == [1] and result.converged
 
 
+@pytest.fixture
+def no_64_bits():
+    """As in a program of its own: only the thread that fits has 64 bits on, that of callbacks has not."""
+    jax.config.update("jax_enable_x64", False)
+    yield
+    jax.config.update("jax_enable_x64", True)
+
+
 @pytest.mark.slow
-def test_the_command_line_writes_what_it_has(tmp_path, monkeypatch, capsys):
-    recorded(floor()).save(tmp_path / "stroke.npz")
-    hapjax.save_scene(floor(0.9, 500.0), tmp_path / "scene.toml")
+@pytest.mark.parametrize("also", [[], ["--suggest"]])
+def test_the_command_line_writes_what_it_has(also, tmp_path, monkeypatch, capsys, no_64_bits):
+    with jax.enable_x64(True):
+        recorded(floor()).save(tmp_path / "stroke.npz")
+        hapjax.save_scene(floor(0.9, 500.0), tmp_path / "scene.toml")
     interrupting(monkeypatch, at=4)
     files = ["--json", str(tmp_path / "fit.json"), "--report", str(tmp_path / "report")]
-    arguments = ["--scene", str(tmp_path / "scene.toml"), "--free", *BOTH, "--starts", "2", *files]
+    arguments = ["--scene", str(tmp_path / "scene.toml"), "--free", *BOTH, "--starts", "2", *files, *also]
     assert main(["fit", str(tmp_path / "stroke.npz"), *arguments]) == 130
     assert MU in capsys.readouterr().out
     figures = json.loads((tmp_path / "fit.json").read_text())
     assert figures["converged"] is False and figures["reason"].startswith("interrupted after")
     assert "interrupted after" in (tmp_path / "report" / "report.html").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fails", "code"), [(KeyboardInterrupt(), 130), (InputError("suggest has no contact"), 2)]
+)
+def test_what_fails_beside_the_fit_does_not_throw_it_away(fails, code, tmp_path, monkeypatch, capsys):
+    def suggest(result):
+        raise fails
+
+    monkeypatch.setattr(hapjax_fitting, "suggest", suggest)
+    recorded(floor()).save(tmp_path / "stroke.npz")
+    hapjax.save_scene(floor(), tmp_path / "scene.toml")
+    arguments = ["--scene", str(tmp_path / "scene.toml"), "--free", MU, "--starts", "1", "--profile", MU]
+    file = tmp_path / "fit.json"
+    assert main(["fit", str(tmp_path / "stroke.npz"), *arguments, "--suggest", "--json", str(file)]) == code
+    figures = json.loads(file.read_text())
+    assert figures["converged"] and MU in figures["profiles"] and "suggestion" not in figures
+    said = capsys.readouterr()
+    assert "Profile" in said.out and ("no contact" in said.err) is (code == 2)
 
 
 def test_the_time_left_goes_by_the_steps_that_other_starts_took():

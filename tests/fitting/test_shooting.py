@@ -13,7 +13,7 @@ from hapjax_fitting.noise import noise_of
 from hapjax_fitting.parameters import free_parameters
 from hapjax_fitting.problem import Problem, grouped, loss_at, stacked_residuals
 from hapjax_fitting.shooting import shots
-from hapjax_fitting.solve import solve
+from hapjax_fitting.solve import Trace, listen, solve
 
 MASS, STIFFNESS = FREE = ["object.cube.body.mass", "object.cube.surface.stiffness"]
 
@@ -36,7 +36,11 @@ def test_shooting_arrives_from_where_single_shooting_fails():
     problem = problem_of(held_cube(), recording)
     truth = problem.start()
     far = truth + jnp.log(jnp.array([10.0, 0.1]))
-    near = shots(far[None], problem, [recording])
+    with listen(Trace()) as trace:
+        near = shots(far[None], problem, [recording])
+    loss, kept = trace.best[0]  # should the search end before the solver runs
+    assert loss == pytest.approx(float(loss_at(jnp.asarray(kept), problem)), rel=1e-9)
+    np.testing.assert_allclose(kept, truth, atol=0.05)
     np.testing.assert_allclose(near[0], truth, atol=0.05)
     best = float(loss_at(truth, problem))
     assert float(loss_at(near[0], problem)) < 2 * best
