@@ -146,11 +146,13 @@ def meet(
 def press(meeting: Meeting, dt: Float[Array, ""] | None) -> Pressed:
     """The law of touch at each of the points; the step `dt` (s) is read where the surface's law does so."""
 
-    def one(near, offset, sliding, rounding, velocity, grip):
-        return _press(meeting.surface, near, offset, sliding, rounding, velocity, grip, dt)
+    def one(near, offset, sliding, rounding, velocity, grip, factor):
+        felt = meeting.surface.of_finger(factor)
+        return _press(felt, near, offset, sliding, rounding, velocity, grip, dt)
 
     m = meeting
-    return jax.vmap(one)(m.near, m.offset, m.sliding, m.rounding, m.velocity, m.grip)
+    factors = m.surface.finger_mu
+    return jax.vmap(one)(m.near, m.offset, m.sliding, m.rounding, m.velocity, m.grip, factors)
 
 
 def keep(meeting: Meeting, pressed: Pressed, points: Float[Array, "n 3"], track: Track | None) -> GodObject:

@@ -32,9 +32,12 @@ def drag(
     - `dt`: s between the times, for a surface with damping or a law that depends on velocity; the forces of others,
       the cone and Dahl's law, depend on the path alone.
 
-    **Raises:** `InputError` where such a surface is given without `dt`, or a list of mu that is not of one face.
+    **Raises:** `InputError` where such a surface is given without `dt`, a list of mu that is not of one
+    face, or a `finger_mu`.
     """
     surface.check_faces(Plane.faces)
+    if surface.finger_mu is not None:
+        raise InputError("finger_mu is given, but no finger drags; allowed: a surface without it")
     law = surface.law()
     if (surface.damping is not None or law.needs_dt) and dt is None:
         raise InputError(

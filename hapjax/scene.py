@@ -164,6 +164,10 @@ def _check_pair(pair: Contact, objects: Mapping[str, Object]) -> None:
     for name in ("mu", "mu_static", "mu_kinetic"):
         if getattr(pair, name) is not None:
             check_number(name, getattr(pair, name), "one number, since a contact has no faces")
+    if pair.finger_mu is not None:
+        raise InputError(
+            "finger_mu is given, but no finger touches a contact; allowed: on the surface of an object"
+        )
     first, second = (objects[name] for name in pair.between)
     check_shapes(first.shape, second.shape)
     if first.body is None and second.body is None:

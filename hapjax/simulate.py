@@ -16,7 +16,7 @@ from . import god_object, grasp, rotation, safe
 from ._segments import scan_in_segments
 from .body import Body, Motion, Wrench
 from .contact import Mover, Placed
-from .errors import InputError
+from .errors import InputError, within
 from .god_object import GodObject, Touch
 from .integrate import Bodies
 from .link import Link, join
@@ -68,8 +68,9 @@ def init(scene: Scene, hip: Float[Any, "F 3"], gimbal: Float[Any, "..."] | None 
 
     **Arguments:** `gimbal` (F,) rad, the angles of the fingers' gimbals, where the scene's torsion is a `Gimbal`.
 
-    **Raises:** `InputError` where `hip` is not (F, 3) or its numbers are of another type than the scene's, and where
-    `gimbal` is missing, not (F,), or given to a scene that does not read it.
+    **Raises:** `InputError` where `hip` is not (F, 3) or its numbers are of another type than the scene's, where a
+    surface's `finger_mu` is not one factor for each finger, and where `gimbal` is missing, not (F,), or given to a scene
+    that does not read it.
     """
     hip = _as_hip(scene, hip)
     return _init(scene, hip, _as_gimbal(scene, gimbal, hip))
@@ -402,6 +403,9 @@ def _as_hip(scene: Scene, hip: Any) -> Float[Array, "F 3"]:
         raise InputError(
             f"hip is {hip.dtype} but the scene is {dtype}; allowed: one type for both (see hapjax.cast)"
         )
+    for name in scene.touchable():
+        with within(f"object.{name}.surface."):
+            _surface(scene, name).check_fingers(len(hip))
     return hip
 
 

@@ -1,5 +1,6 @@
 """What a touch on a surface is made of: friction, stiffness, damping."""
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -13,6 +14,8 @@ from ._validate import as_float, check_not_negative, check_number, check_positiv
 from .errors import InputError, within
 from .friction import Cone, Friction, Law, Press
 from .shape import SurfacePoint
+
+_MUS = ("mu", "mu_static", "mu_kinetic")
 
 
 class Surface(eqx.Module):
@@ -30,6 +33,8 @@ class Surface(eqx.Module):
     - `grain`: the direction of the grain, in the object's frame, for a surface with `anisotropy`; a face has that of its
       projection. A face that it is normal to has mu across the grain in all directions.
     - `friction`: the law. `None`: the cone.
+    - `finger_mu`: one factor a finger, 0 or above, by which every mu of the surface is larger for it. `None`: all fingers
+      feel the same.
 
     **Raises:** `InputError` where a number is out of its range, or neither or both kinds of mu are given.
     """
@@ -43,6 +48,7 @@ class Surface(eqx.Module):
     anisotropy: Float[Array, ""] | None = eqx.field(converter=as_float, default=None)
     grain: Float[Array, "3"] | None = eqx.field(converter=as_float, default=None)
     friction: Law | None = None
+    finger_mu: Float[Array, "F"] | None = eqx.field(converter=as_float, default=None)
 
     def __check_init__(self):
         check_positive("stiffness", self.stiffness, unit="N/m")
@@ -51,7 +57,7 @@ class Surface(eqx.Module):
         if self.tangential_stiffness is not None:
             check_positive("tangential_stiffness", self.tangential_stiffness, unit="N/m")
         self._check_grain()
-        names = [n for n in ("mu", "mu_static", "mu_kinetic") if getattr(self, n) is not None]
+        names = [n for n in _MUS if getattr(self, n) is not None]
         if names not in (["mu"], ["mu_static", "mu_kinetic"]):
             given = f"{' and '.join(names)} given" if names else "mu is missing"
             raise InputError(f"{given}; allowed: mu alone, or mu_static with mu_kinetic")
@@ -60,6 +66,11 @@ class Surface(eqx.Module):
             shape = getattr(value, "shape", ())
             check_not_negative(name, value, shape=shape if len(shape) <= 1 else (), unit="")
         _check_order(self.mu_static, self.mu_kinetic)
+        if self.finger_mu is not None:
+            allowed, shape = "a list, 0 or above for each finger", np.shape(self.finger_mu)
+            if len(shape) != 1:
+                raise InputError(f"finger_mu has the shape {shape}; allowed: {allowed}")
+            check_number("finger_mu", self.finger_mu, allowed, shape=shape, low=0.0)
         if self.friction is not None and not isinstance(self.friction, Law):
             raise InputError(f"friction is {self.friction!r}; allowed: a friction law")
         with within("friction: "):
@@ -78,13 +89,29 @@ class Surface(eqx.Module):
 
     def check_faces(self, faces: tuple[str, ...]) -> None:
         """Refuse a list of mu whose length is not the number of the shape's faces."""
-        for name in ("mu", "mu_static", "mu_kinetic"):
+        for name in _MUS:
             value = getattr(self, name)
             if value is not None and value.ndim == 1:
                 shown = ", ".join(faces) if len(faces) < 50 else f"{faces[0]} to {faces[-1]}"
                 check_number(
                     name, value, f"one number, or one for each of the faces {shown}", shape=(len(faces),)
                 )
+
+    def check_fingers(self, count: int) -> None:
+        """Refuse factors that are not one for each of the fingers."""
+        if self.finger_mu is not None and self.finger_mu.shape != (count,):
+            raise InputError(
+                f"finger_mu has {len(self.finger_mu)} factors for {count} finger{'' if count == 1 else 's'}; "
+                "allowed: one for each"
+            )
+
+    def of_finger(self, factor: Float[Array, ""] | None) -> "Surface":
+        """What a finger feels whose mu is larger by a factor; `None`: the surface itself."""
+        if factor is None:
+            return self
+        given = {name: getattr(self, name) for name in _MUS}
+        larger = {name: factor * mu for name, mu in given.items() if mu is not None}
+        return dataclasses.replace(self, **larger, finger_mu=None)
 
     def law(self) -> Law:
         """The friction law."""

@@ -188,7 +188,7 @@ CASES = {
     "ball on the floor": (ball_on_floor, set()),
     "stack": (stack, {".contact['pair'].mu"}),
     "gravity drop, kinetic": (
-        functools.partial(gravity_drop, mu_static=0.9, mu_kinetic=0.7),
+        functools.partial(gravity_drop, mu_static=0.9, mu_kinetic=0.7, finger_mu=(1.0, 0.9)),
         {".object['it'].surface.mu_kinetic"},
     ),
 }

@@ -25,7 +25,7 @@ def full(**without: Any):
     )
     part |= dict(gravity=(0, 0, -9.81), rotation=True, contact=True, pair_damping=0.5, substeps=2, body=True)
     part |= dict(second=True, inertia=(1e-4,) * 3, centre=(1e-3, 0, 0), faces=False) | without
-    part = dict(friction=None, tangential=None, anisotropy=None, other_contact=False) | part
+    part = dict(friction=None, tangential=None, anisotropy=None, other_contact=False, fingers=None) | part
     mu = (0.6,) * 6 if part["faces"] else 0.6
     law = (
         dict(mu=mu)
@@ -33,6 +33,7 @@ def full(**without: Any):
         else dict(mu_static=mu, mu_kinetic=0.4 if np.ndim(mu) == 0 else mu)
     )
     law: dict[str, Any] = law | dict(friction=part["friction"], tangential_stiffness=part["tangential"])
+    law |= dict(finger_mu=part["fingers"])
     if part["anisotropy"] is not None:
         law |= dict(anisotropy=part["anisotropy"], grain=(1.0, 0.0, 0.0))
     surface = hapjax.Surface(800.0, damping=part["damping"], **law)
@@ -102,6 +103,12 @@ PARTS = {
         lambda s: s.object["cube"].surface.tangential_stiffness,
     ),
     "anisotropy": (dict(anisotropy=None), dict(anisotropy=0.5), "anisotropy", None),
+    "mu of each finger": (
+        dict(fingers=None),
+        dict(fingers=(1.0, 0.8)),
+        "finger_mu",
+        lambda s: s.object["cube"].surface.finger_mu,
+    ),
     "second object": (dict(second=False), {}, "ball", None),
     "substeps": (dict(substeps=1), dict(damping=None), None, None),
     "rotation": (dict(rotation=False), NO_TURNING, "spin", None),
@@ -150,7 +157,12 @@ def test_gimbals_god_angles_and_pivots_cost_only_those_who_ask_for_them():
 def test_the_benchmark_switches_off_what_costs():
     """Every part of a full scene is among those that `hapjax benchmark scene` leaves out, and each saves equations."""
     scene = full(
-        friction=hapjax.Stribeck(0.01), tangential=600.0, anisotropy=0.5, other_contact=True, faces=True
+        friction=hapjax.Stribeck(0.01),
+        tangential=600.0,
+        anisotropy=0.5,
+        other_contact=True,
+        faces=True,
+        fingers=(1.0, 0.8),
     )
     whole = equations(program(scene))
     found = dict(without_each_part(scene))
@@ -161,6 +173,7 @@ def test_the_benchmark_switches_off_what_costs():
             "tangential_stiffness",
             "mu_kinetic",
             "anisotropy",
+            "finger_mu",
             "mu of each face",
             "surface",
         ),

@@ -115,7 +115,7 @@ def without_each_part(scene: Scene) -> Iterator[tuple[str, Scene]]:
 def _simpler_surfaces(surface: Surface | None) -> Iterator[tuple[str, Surface]]:
     if surface is None:
         return
-    for field in ("friction", "damping", "tangential_stiffness"):
+    for field in ("friction", "damping", "tangential_stiffness", "finger_mu"):
         if getattr(surface, field) is not None:
             yield field, dataclasses.replace(surface, **{field: None})
     if surface.mu_kinetic is not None:
