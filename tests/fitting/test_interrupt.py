@@ -3,9 +3,9 @@
 import json
 import os
 import signal
+import subprocess
 import sys
 
-import jax
 import pytest
 
 import hapjax
@@ -81,25 +81,32 @@ def test_a_handler_of_the_programs_own_is_left_alone(monkeypatch):
     assert heard == [1] and result.converged
 
 
-@pytest.fixture
-def no_64_bits():
-    """As in a program of its own: only the thread that fits has 64 bits on, that of callbacks has not."""
-    jax.config.update("jax_enable_x64", False)
-    yield
-    jax.config.update("jax_enable_x64", True)
+INTERRUPTED = """
+import os, signal, sys
+from hapjax.cli import run
+from hapjax_fitting.solve import Trace
+signal.signal(signal.SIGINT, signal.default_int_handler)
+add, count = Trace.add, [0]
+def adding(self, *step):
+    add(self, *step)
+    count[0] += 1
+    if count[0] == 4:
+        os.kill(os.getpid(), signal.SIGINT)
+Trace.add = adding
+run()
+"""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("also", [[], ["--suggest"]])
-def test_the_command_line_writes_what_it_has(also, tmp_path, monkeypatch, capsys, no_64_bits):
-    with jax.enable_x64(True):
-        recorded(floor()).save(tmp_path / "stroke.npz")
-        hapjax.save_scene(floor(0.9, 500.0), tmp_path / "scene.toml")
-    interrupting(monkeypatch, at=4)
-    files = ["--json", str(tmp_path / "fit.json"), "--report", str(tmp_path / "report")]
-    arguments = ["--scene", str(tmp_path / "scene.toml"), "--free", *BOTH, "--starts", "2", *files, *also]
-    assert main(["fit", str(tmp_path / "stroke.npz"), *arguments]) == 130
-    assert MU in capsys.readouterr().out
+def test_the_command_line_writes_what_it_has(tmp_path):
+    """In a program of its own, where only the thread that fits has 64 bits on, and that of callbacks has not."""
+    recorded(floor()).save(tmp_path / "stroke.npz")
+    hapjax.save_scene(floor(0.9, 500.0), tmp_path / "scene.toml")
+    arguments = ["fit", "stroke.npz", "--scene", "scene.toml", "--free", *BOTH, "--json", "fit.json"]
+    program = [sys.executable, "-c", INTERRUPTED, *arguments, "--report", "report"]
+    said = subprocess.run(program, cwd=tmp_path, capture_output=True, text=True)
+    assert said.returncode == 130, said.stderr
+    assert "mu" in said.stdout
     figures = json.loads((tmp_path / "fit.json").read_text())
     assert figures["converged"] is False and figures["reason"].startswith("interrupted after")
     assert "interrupted after" in (tmp_path / "report" / "report.html").read_text()
