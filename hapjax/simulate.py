@@ -269,7 +269,11 @@ def _in_sense(before: State, after: State, reply: Reply) -> tuple[State, Reply]:
     def pick(new, old):
         return jnp.where(fine, new, old)
 
-    state = jax.tree.map(pick, after, dataclasses.replace(before, motion=still))
+    # Where the fingers are goes on, or a single mad sample would make every later step a leap, too.
+    hip = None
+    if before.hip is not None and after.hip is not None:
+        hip = jnp.where(jnp.abs(after.hip) <= _SENSE, after.hip, before.hip)
+    state = jax.tree.map(pick, after, dataclasses.replace(before, motion=still, hip=hip))
     touch, contact = jax.tree.map(lambda x: jnp.where(fine, x, 0), (reply.touch, reply.contact))
     poses = pick(reply.pose, jnp.concatenate(pose)) if pose else reply.pose
     return state, Reply(jnp.where(fine, reply.force, 0), poses, touch, contact, ~fine)

@@ -154,10 +154,12 @@ def _loop(
         if not np.isfinite(angle).all():
             raise DeviceError(f"tick {tick}: the gimbals read {angle.tolist()} rad; an angle must be finite")
         memory = packed.call(memory, *inputs)
-        log.lost += packed.is_lost(memory)
+        lost = packed.is_lost(memory)
+        log.lost += lost
         force = guard(packed.force(memory))
         if control is not None:
-            force = guard(control(force, hip))
+            damped = control(force, hip)
+            force = force if lost else guard(damped)
         for finger, device in enumerate(devices):
             output[finger] = device.write(force[finger])
         if control is not None:

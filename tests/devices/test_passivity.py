@@ -91,6 +91,15 @@ def test_the_force_keeps_to_the_devices_limit():
     assert np.max(np.linalg.norm(force, axis=1)) <= 3.0 and result.limited > 0
 
 
+def test_a_lost_step_puts_out_no_force_with_it_either(monkeypatch):
+    """The control would damp a finger that moves; a wall so stiff that each step is lost asks for none at all."""
+    monkeypatch.setattr(PassivityControl, "__call__", lambda self, force, hip: force - 1.0)
+    _, force, result = press(1e16, Passivity())
+    assert result.lost > 100
+    pressed = np.linalg.norm(force, axis=1) > 0
+    assert np.count_nonzero(~pressed) >= result.lost and np.any(pressed)
+
+
 def test_off_it_is_not_there(monkeypatch):
     def refuse(*_):
         raise AssertionError("made though it is off")
