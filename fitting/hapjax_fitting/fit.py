@@ -40,6 +40,7 @@ from .problem import (
 from .progress import following
 from .reduced import reduced, reduced_rows
 from .result import FitResult
+from .scores import widened
 from .sensors import Sensors, Setup, explicit
 from .sharding import gathered, over_devices
 from .shooting import EXPLAINED, shots
@@ -51,6 +52,7 @@ from .whole_body import made_explicit
 _MOST_SEARCHES = 4
 _PLACES, _FAR = 64, 20.0  # looked at where all starts went astray, and up to which factor off
 _MOST_RETURNS = 2
+_MOST_WEIGHINGS, _SETTLED = 4, 0.01
 # Residuals beyond so many times the noise: what the model says of slip is then not what the recordings say.
 _EXPLAINED = 10.0
 
@@ -142,6 +144,7 @@ def fit(
                 ends = _searches(problem, first, used, starts, spread, seed, max_steps)
                 if loss != "squares":
                     ends = robust.polished(stacked_residuals, reduced, ends, problem)
+                problem, ends = _weighed(problem, ends, noise, max_steps)
             except (KeyboardInterrupt, jax.errors.JaxRuntimeError) as error:
                 trace.interrupted |= isinstance(error, KeyboardInterrupt)
                 if not (trace.interrupted and trace.best):
@@ -215,6 +218,37 @@ def _search(problem: Problem, begin: Float[Array, "S p"], max_steps: int, begun:
     return jax.tree.map(lambda x: jnp.asarray(gathered(x)), ends)  # what follows is of one device
 
 
+def _weighed(
+    problem: Problem, ends: Solutions, noise: Mapping[str, float] | None, max_steps: int
+) -> tuple[Problem, Solutions]:
+    """Where priors are known, search on, from where each start ended, with data that count for what they turned out to be
+    worth; and the problem whose priors are so much heavier."""
+    if problem.priors is None:
+        return problem, ends
+    for _ in range(_MOST_WEIGHINGS):
+        variance = _spread(problem, residuals_at(ends.free[ends.best], problem), noise)[2]
+        if abs(variance / problem.weighed - 1) < _SETTLED:
+            break
+        problem = problem.weighing(variance)
+        ends = _search(problem, ends.free, max_steps, begun=len(ends.loss))
+        if problem.loss != "squares":
+            ends = robust.polished(stacked_residuals, reduced, ends, problem)
+    return problem, ends
+
+
+def _spread(
+    problem: Problem, residuals: Float[np.ndarray, " n"], noise: Mapping[str, float] | None
+) -> tuple[dict[str, float], Float[np.ndarray, " m"], float]:
+    """Of each channel the root mean square of its residuals; of each residual what variance it stands for in the
+    covariance; and what variance they stand for in the loss, on average."""
+    channels = channels_of(residuals, problem)
+    size, variance = spread_of(channels, noise, problem.fitted())
+    typical = float(np.mean(variance))
+    if problem.loss != "squares":
+        typical, variance = robust.spreads(channels, noise, problem.loss)
+    return size, variance, typical
+
+
 def _better(problem: Problem, ends: Solutions) -> Array | None:
     """Where to search again: a better place that the solver's gradients do not lead to, if there is one."""
     free = ends.free[ends.best]
@@ -241,19 +275,21 @@ def _result(
     best = ends.best
     free = ends.free[best]
     setup = problem.setup_at(free)
-    channels, matrix = channels_of(residuals_at(free, problem), problem), np.asarray(ends.jacobian)
-    size, variance = spread_of(channels, given_noise, problem.fitted())
-    typical = float(np.mean(variance))
-    if problem.loss != "squares":
-        typical, variance = robust.spreads(channels, given_noise, problem.loss)
+    residuals, matrix = residuals_at(free, problem), np.asarray(ends.jacobian)
+    channels = channels_of(residuals, problem)
+    size, variance, typical = _spread(problem, residuals, given_noise)
     variance = reduced_rows(channels, variance, len(free))
-    variance = np.concatenate([variance, np.ones(problem.known())])  # priors are believed
+    variance = np.concatenate([variance, np.full(problem.known(), problem.weighed)])  # priors are believed
     cost, chance = cost_of_grip(free, problem), NOTICEABLE * typical
     said, shown = problem.reported, problem.report(free)
     back = problem.by_reported(free)
     slopes = matrix if back is None else matrix @ back
     widest = np.array([p.transform.widest for p in said])
     known = certainty(slopes, variance, widest, cost > chance)
+    factors = np.ones(len(free))
+    if problem.loss == "squares" and not set(size) <= set(given_noise or {}):
+        factors = widened(free, problem, residuals, slopes, back, known, given_noise)
+        known = known.widened(factors, widest)
     spread = known.covariance if back is None else back @ known.covariance @ back.T
     explained = max(size.values()) < _EXPLAINED  # in units of the noise
     jumping = [is_static(problem, i) and cost[i] > chance for i in range(len(free))]
@@ -297,6 +333,7 @@ def _result(
         free=np.asarray(free),
         information=fisher,
         variance=typical,
+        widened=factors,
         identifiability=identifiability(
             information(slopes, variance),
             said,

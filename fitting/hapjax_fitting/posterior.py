@@ -14,10 +14,9 @@ from hapjax import InputError
 from hapjax.extras import need
 
 from .breakaway import is_static
-from .problem import Problem, by_channel
+from .problem import Problem, stacked_residuals
 from .report import digits
 from .result import FitResult
-from .robust import rooted
 from .section import Images, Section
 from .solve import jacobian
 
@@ -80,7 +79,7 @@ def posterior(result: FitResult, samples: int = 1000, seed: int = 0) -> Posterio
     **Arguments:** `samples` of each chain, 50 to 100000, after a warm-up of 300; `seed`, 0 or above.
 
     **Raises:** `InputError` where blackjax is missing, and where a number is not identified, since a flat prior then has no
-    posterior, or is a `mu_static`, whose likelihood has no gradient.
+    posterior, or is one whose likelihood has no gradient, such as a `mu_static`.
     """
     for name, value, low, high in (("samples", samples, 50, 100_000), ("seed", seed, 0, 2**63 - 1)):
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
@@ -104,7 +103,8 @@ def posterior(result: FitResult, samples: int = 1000, seed: int = 0) -> Posterio
         round_, diverged = _chains(jax.random.key(seed), free, root, variance, problem, samples)
         rhat, effective = _mixing(round_)
     found = free[None, None] + jnp.einsum("csi,ji->csj", round_, root)
-    found = jax.vmap(jax.vmap(problem.report))(found)
+    found, best = jax.vmap(jax.vmap(problem.report))(found), problem.report(free)[None, None]
+    found = best + (found - best) * jnp.asarray(result.widened, free.dtype)[None, None]
     draws = {
         name: np.asarray(p.transform.value(found[..., i]), np.float64)
         for i, (name, p) in enumerate(zip(names, problem.reported, strict=True))
@@ -173,9 +173,6 @@ _logdensity.defvjp(_forward, _backward)
 
 
 def _rows(free: Float[Array, " p"], args: Any) -> Float[Array, " n"]:
-    """The residuals in standard deviations of what they turned out to be, and those of priors, which are believed."""
+    """The residuals in standard deviations of what they turned out to be; those of priors are scaled by them."""
     variance, problem = args
-    found = [rooted(r.ravel(), problem.loss) / jnp.sqrt(variance) for _, r in by_channel(free, problem)]
-    if problem.priors is not None:
-        found.append(problem.priors.residuals(problem.reported, problem.report(free)))
-    return jnp.concatenate(found)
+    return stacked_residuals(free, problem) / jnp.sqrt(variance)

@@ -16,16 +16,20 @@ from .transform import Log
 
 
 class Priors(eqx.Module):
-    """Of which of the free numbers (`places`) something is known: the `mean` and the `deviation` of each."""
+    """Of which of the free numbers (`places`) something is known: the `mean` and the `deviation` of each.
+
+    `scale`: what they are off counts so many times, as the data's residuals are that much larger than their noise.
+    """
 
     mean: Float[Array, " k"]
     deviation: Float[Array, " k"]
+    scale: Float[Array, ""]
     places: tuple[int, ...] = eqx.field(static=True)
 
     def residuals(self, parameters: tuple[Parameter, ...], free: Float[Array, " p"]) -> Float[Array, " k"]:
-        """How many deviations each number is off: the logarithm of one above 0, any other's value."""
+        """How many deviations each number is off, times `scale`: the logarithm of one above 0, any other's value."""
         found = [_known(parameters[i], free[i]) for i in self.places]
-        return (jnp.stack(found) - self.mean) / self.deviation
+        return self.scale * (jnp.stack(found) - self.mean) / self.deviation
 
 
 def _known(parameter: Parameter, free: Array) -> Array:
@@ -51,7 +55,9 @@ def priors_of(
     if not known:
         return None
     means, deviations = zip(*known.values(), strict=True)
-    return Priors(jnp.asarray(means, dtype), jnp.asarray(deviations, dtype), tuple(known))
+    return Priors(
+        jnp.asarray(means, dtype), jnp.asarray(deviations, dtype), jnp.ones((), dtype), tuple(known)
+    )
 
 
 def _checked(path: str, numbers: Any) -> tuple[float, float]:

@@ -99,6 +99,19 @@ class Problem(eqx.Module):
         """Of how many numbers something is known beforehand."""
         return 0 if self.priors is None else len(self.priors.places)
 
+    def weighing(self, variance: float) -> "Problem":
+        """The problem for data whose whitened residuals have this variance, over which its loss is minus the logarithm of
+        the posterior density: priors count as much more as the data's loss is too large."""
+        if self.priors is None:
+            return self
+        scale = jnp.full_like(self.priors.scale, np.sqrt(variance))
+        return replace(self, priors=replace(self.priors, scale=scale))
+
+    @property
+    def weighed(self) -> float:
+        """The variance of whitened residuals that it is `weighing`."""
+        return 1.0 if self.priors is None else float(self.priors.scale) ** 2
+
     def fitted(self) -> int:
         """How many of the free numbers were fitted to the recordings alone."""
         return max(0, len(self.parameters) - self.known())

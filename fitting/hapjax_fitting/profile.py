@@ -106,25 +106,23 @@ def profile(result: FitResult, name: str) -> Profile:
     deviation = float(np.sqrt(result.covariance[i, i]))
     step = deviation if 0 < deviation < transform.widest else 0.25
     lost = partial(_refitted, problem=problem, i=i)
-    least = float(loss_at(free, problem))
+    least, variance = float(loss_at(free, problem)), result.variance * float(result.widened[i]) ** 2
     sides, edges = [], []
     for side in (-1.0, 1.0):
-        walked = _walk(lost, free, centre, side * step, least, result.variance)
+        walked = _walk(lost, free, centre, side * step, least, variance)
         sides.append(walked)
-        edges.append(
-            [_edge(lost, walked, centre, least + chi * result.variance / 2) for chi in (CHI95, CHI99)]
-        )
+        edges.append([_edge(lost, walked, centre, least + chi * variance / 2) for chi in (CHI95, CHI99)])
     points = [(x, loss) for x, loss, _ in (*sides[0][::-1], (centre, least, free), *sides[1])]
     low, high = edges
     return Profile(
         name,
         np.array([_value(transform, x, free) for x, _ in points]),
-        np.array([2 * (loss - least) / result.variance for _, loss in points]),
+        np.array([2 * (loss - least) / variance for _, loss in points]),
         _value(transform, centre, free),
         (_end(transform, low[0], free), _end(transform, high[0], free)),
         (_end(transform, low[1], free), _end(transform, high[1], free)),
         result.parameters[name].interval95,
-        max(0.0, max(2 * (least - loss) / result.variance for _, loss in points)),
+        max(0.0, max(2 * (least - loss) / variance for _, loss in points)),
     )
 
 

@@ -52,7 +52,9 @@ class FitResult:
     numbers of each channel were compared; `identifiability`, which combinations of the numbers the recordings
     fix, in sentences.
     For what goes on from here: `problem`, what was solved; `free` (p,), the transformed numbers at the best; `information`
-    (p, p) of them, J'V^-1 J, Fisher's for the variances V that the residuals turned out to have; `variance`, their mean.
+    (p, p) of them, J'V^-1 J, Fisher's for the variances V that the residuals turned out to have; `variance`, their mean;
+    `widened` (p,), by how many times the standard errors are above those of Gauss-Newton, as noise that was estimated turned
+    out to be uneven.
     """
 
     parameters: Mapping[str, Estimate]
@@ -77,6 +79,7 @@ class FitResult:
     problem: Problem = field(repr=False, compare=False, kw_only=True)
     free: np.ndarray = field(repr=False, compare=False, kw_only=True)
     information: np.ndarray = field(repr=False, compare=False, kw_only=True)
+    widened: np.ndarray = field(repr=False, compare=False, kw_only=True)
     variance: float = 1.0
     measured: Mapping[str, int] = field(default_factory=dict)
     identifiability: tuple[str, ...] = ()

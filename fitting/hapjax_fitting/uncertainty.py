@@ -1,6 +1,6 @@
 """How well the data fix each parameter: covariance, intervals, and what they cannot tell."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,15 +9,22 @@ import numpy as np
 class Certainty:
     """What the whitened Jacobian says of the free numbers.
 
-    `covariance` (p, p) of the unconstrained numbers; `identified` (p,): whether the data fix each;
+    `covariance` (p, p) of the unconstrained numbers, and `inverse`, (J'J)^-1; `identified` (p,): whether the data fix each;
     `singular_values` (p,) of the Jacobian with its columns scaled to length 1, largest first; `lost` (k, p):
     the directions, in those scaled numbers, that the data do not see at all.
     """
 
     covariance: np.ndarray
+    inverse: np.ndarray
     identified: np.ndarray
     singular_values: np.ndarray
     lost: np.ndarray
+
+    def widened(self, factors: np.ndarray, widest: np.ndarray) -> "Certainty":
+        """The same with standard errors so many times as large."""
+        covariance = self.covariance * np.outer(factors, factors)
+        still = self.identified & (np.sqrt(np.diag(covariance)) < widest)
+        return replace(self, covariance=covariance, identified=still)
 
     def tied_to(self, i: int) -> list[int]:
         """The numbers that the data cannot tell apart from number `i`."""
@@ -42,23 +49,24 @@ def certainty(
     length = np.sqrt(np.sum(jacobian**2, axis=0))
     usable = usable & (length > np.sqrt(np.finfo(jacobian.dtype).eps) * length.max(initial=0)) & (length > 0)
     count = jacobian.shape[1]
-    covariance, identified = np.zeros((count, count)), usable.copy()
+    covariance, whole, identified = np.zeros((count, count)), np.zeros((count, count)), usable.copy()
     if not usable.any():
-        return Certainty(covariance, identified, np.zeros(count), np.zeros((0, count)))
+        return Certainty(covariance, whole, identified, np.zeros(count), np.zeros((0, count)))
     scaled = (jacobian[:, usable] / length[usable]).astype(np.float64)
     left, values, right = np.linalg.svd(scaled, full_matrices=False)
     kept = values > np.sqrt(np.finfo(jacobian.dtype).eps) * values[0]
     lost_part = np.sum(right[~kept] ** 2, axis=0)
     inverse = right[kept].T / values[kept]
     middle = (left[:, kept] * variance[:, None]).T @ left[:, kept]
-    part = inverse @ middle @ inverse.T / np.outer(length[usable], length[usable])
-    covariance[np.ix_(usable, usable)] = part
+    lengths = np.outer(length[usable], length[usable])
+    part = inverse @ middle @ inverse.T / lengths
+    covariance[np.ix_(usable, usable)], whole[np.ix_(usable, usable)] = part, inverse @ inverse.T / lengths
     identified[usable] = (lost_part < 1e-6) & (np.sqrt(np.diag(part)) < widest[usable])
     all_values = np.zeros(count)
     all_values[: len(values)] = values
     lost = np.zeros((int(np.sum(~kept)), count))
     lost[:, usable] = right[~kept]
-    return Certainty(covariance, identified, all_values, lost)
+    return Certainty(covariance, whole, identified, all_values, lost)
 
 
 def information(jacobian: np.ndarray, variance: np.ndarray) -> np.ndarray:

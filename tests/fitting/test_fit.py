@@ -209,6 +209,16 @@ def test_errors_of_the_model_widen_the_intervals():
     assert within(result, STIFFNESS, 800.0)
 
 
+def test_noise_that_differs_by_axis_widens_the_intervals_of_what_shows_along_it():
+    """The stiffness shows in the load, of which the noise is ten times that of the friction."""
+    (t, path), clean = stroke(), forces(floor(), stroke()[1])
+    force = clean + np.array([0.01, 0.01, 0.1]) * np.random.default_rng(0).standard_normal(clean.shape)
+    result = fitted(Recording(hip=path, hip_t=t, force=force, force_t=t), noise=None)
+    error = result.parameters[STIFFNESS].standard_error
+    assert error == pytest.approx(800.0 * 0.1 / np.linalg.norm(clean[..., 2]), rel=0.15)
+    assert within(result, STIFFNESS, 800.0) and result.widened[1] > 1.5
+
+
 def test_a_function_selects_as_paths_do():
     recording = recorded(floor())
     chosen = fitted(

@@ -1,13 +1,15 @@
 """Priors: the posterior of a linear model, and numbers that only a prior fixes."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from fitting_cases import MU, SIGMA, STIFFNESS, floor, forces, recorded, stroke
 from hapjax import InputError
-from hapjax_fitting import fit
+from hapjax_fitting import fit, profile
 
 BIAS = "sensor.force_bias"
 OPTIONS: dict[str, Any] = {"noise": {"force": SIGMA}, "starts": 1}
@@ -38,10 +40,23 @@ def test_the_posterior_of_a_linear_model_is_the_analytic_one():
     assert result.loss == pytest.approx(expected, rel=1e-9)
 
 
-def test_estimated_noise_does_not_widen_a_prior():
-    known = {f"{BIAS}[1]": (0.0, 1e-4)}
-    result = fit(floor(), recorded(floor()), BIAS, priors=known, starts=1)
-    assert number(result, f"{BIAS}[1]")[1] == pytest.approx(1e-4, rel=0.02)
+def test_a_prior_and_data_of_unknown_noise_are_weighed_by_what_each_is_worth():
+    """Neighbours err alike, and by more than their differences show. The data are worth their effective variance."""
+    path = stroke()[1]
+    wander = lfilter([0.03], [1, -0.95], np.random.default_rng(2).standard_normal(path.shape), axis=0)
+    recording = replace(recorded(floor()), force=forces(floor(), path) + wander)
+    alone, name = fit(floor(), recording, BIAS, starts=1), f"{BIAS}[1]"
+    assert alone.variance > 100
+    best, error = alone.parameters[name].estimate, alone.noise["force"] * np.sqrt(alone.variance / len(path))
+    mean, deviation = best + 0.8 * error, 0.7 * error
+    result = fit(floor(), recording, BIAS, priors={name: (mean, deviation)}, starts=1)
+    weights, estimate = np.array([1 / error**2, 1 / deviation**2]), result.parameters[name].estimate
+    likely = weights.sum() ** -0.5
+    assert estimate == pytest.approx(weights @ [best, mean] / weights.sum(), abs=0.05 * likely)
+    error = number(result, name)[1]
+    assert likely == pytest.approx(error / result.widened[1], rel=0.05)
+    ends = profile(result, name).interval95
+    np.testing.assert_allclose(ends, np.add(estimate, [-1.96 * error, 1.96 * error]), atol=0.05 * error)
 
 
 def test_a_prior_fixes_a_mu_that_nothing_shows():
