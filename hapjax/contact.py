@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from . import body as rigid
-from . import crossing, god_object, rotation
+from . import crossing, god_object, rotation, walls
 from .body import Motion
 from .errors import InputError
 from .god_object import GodObject, Meeting
@@ -89,6 +89,8 @@ def start(contact: Contact, first: Mover, second: Mover) -> tuple[GodObject, ...
         else:
             sliding = jnp.zeros_like(local[:, 0]) if contact.remembers() else None
             memory.append(GodObject(local, jnp.zeros_like(local[:, 0]), sliding))
+            if walls.are_many(pair[b].placed.shape):
+                memory[-1] = walls.start(memory[-1])
     if _edges_cross(first.placed.shape, second.placed.shape):
         memory.append(crossing.start(contact, first.placed, second.placed))
     return tuple(memory)
@@ -147,7 +149,11 @@ def _points_of(a: Mover, b: Mover) -> Float[Array, "P 3"]:
     """The points of `a` towards `b`, in the frame of `a`."""
 
     def facing(point):
-        near = b.placed.shape.closest(b.placed.to_local(a.placed.to_world(point)))
+        point, shape = b.placed.to_local(a.placed.to_world(point)), b.placed.shape
+        if walls.are_many(shape) and (side := a.placed.shape.axis()) is not None:
+            near = walls.about(shape, point, side.radius)
+        else:
+            near = shape.closest(point)
         return rotation.turn_back(a.placed.matrix, rotation.turn(b.placed.matrix, near.normal))
 
     points = a.placed.shape.points(facing)
@@ -168,12 +174,17 @@ def _points_on(
     shape, radius = b.placed.shape, a.placed.shape.rounding()
     own, faces = _points_of(a, b), None
     points = b.placed.to_local(a.placed.to_world(own))
-    if gods.own is not None:
+    if radius is None and gods.own is not None:
         gods = _gone_on(gods, own, a, b)
     if radius is None:
         track, near = jax.vmap(shape.follow)(gods.track, points)
         if apart:
             near, faces = god_object.or_apart(shape, near, points)
+    elif walls.are_many(shape):
+        near, faces = walls.find(shape, points, radius, apart)
+        gods, near, faces = walls.match(gods, near, faces, radius)
+        track, own = None, -radius * near.normal
+        points = jnp.repeat(points, walls.MOST, axis=0) + own
     else:
         track, near = None, jax.vmap(shape.closest)(points)
         points = points - radius * near.normal
@@ -204,7 +215,8 @@ def _points_on(
 def _gone_on(gods: GodObject, own: Float[Array, "P 3"], a: Mover, b: Mover) -> GodObject:
     """The god-objects of points that wander over the material of `a`: these hold the material, so they go along."""
     assert gods.own is not None
-    which = a.placed.shape.goes_on(gods.own, own)
+    many = walls.are_many(b.placed.shape)
+    which = walls.goes_on(gods.own, own) if many else a.placed.shape.goes_on(gods.own, own)
     moved = own - gods.own[which]
     gods = jax.tree.map(lambda x: x[which], gods)
     way = rotation.turn_back(b.placed.matrix, rotation.turn(a.placed.matrix, moved))

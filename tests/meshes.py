@@ -87,3 +87,17 @@ def entries(vertices, triangles, start, end):
     first = t.argmin(axis=1)
     when = t[np.arange(len(t)), first]
     return np.where(np.isfinite(when), first, -1), when
+
+
+def grooved(angle, wide=0.12, long=0.4):
+    """A block with a groove along y whose walls stand at `angle` to each other; its bottom is the y axis, its top is up."""
+    half = np.radians(angle) / 2
+    out, top = wide / 2, min(0.03, 0.4 * wide / np.tan(half))
+    x = np.array([-out, out, out, top * np.tan(half), 0, -top * np.tan(half), -out])
+    z = np.array([-0.02, -0.02, top, top, 0, top, top])
+    vertices = np.concatenate([np.stack([x, np.full(7, y), z], axis=1) for y in (-long / 2, long / 2)])
+    cap = np.array([(0, 1, 4), (1, 2, 3), (1, 3, 4), (0, 4, 5), (0, 5, 6)])
+    i = np.arange(7)
+    j = (i + 1) % 7
+    sides = np.concatenate([np.stack([i, j + 7, j], axis=1), np.stack([i, i + 7, j + 7], axis=1)])
+    return vertices, np.concatenate([cap, cap[:, ::-1] + 7, sides])

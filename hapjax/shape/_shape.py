@@ -125,7 +125,8 @@ class Shape(eqx.Module):
     def points(self, facing: Callable[[Float[Array, "3"]], Float[Array, "3"]]) -> Float[Array, "P 3"] | None:
         """The points (m) by which it can touch another object; `None`: it only is touched.
 
-        `facing(p)` is the other object's outward normal near a point p of this shape, all in this shape's frame.
+        `facing(p)` is the other object's outward normal near a point p of this shape, all in this shape's frame; (3, 3)
+        of a mesh with hollows: those of up to three walls, the nearest first, and again for those that are not there.
         """
         return None
 

@@ -1,5 +1,6 @@
 """The triangle of a mesh that is nearest to a point, found through a tree of boxes."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -9,6 +10,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from ._cones import cones_of, is_hollow
 from ._lanes import one_by_one
 from ._planes import frozen
 from ._table import rows, span
@@ -28,15 +30,17 @@ class Tree(eqx.Module):
     `boxes`: each one's 8; those of box n are numbered from 8 n + 1 on. Of each three rows of axes, then how far along these
     the triangles reach at least and at most (m). The axes are the principal ones: where triangles lie about in a plane, a
     box along the axes of the mesh would stand far out of it. `start`: where the triangles of each leaf begin in
-    `triangles`, which some zeros follow. Whole numbers are kept as floats.
+    `triangles`, which some zeros follow. Whole numbers are kept as floats. `cones`: of each box the cone of normals of
+    `cones_of`; `None` where the surface is convex.
     """
 
     boxes: Float[Array, "N 8 5 3"]
     start: Float[Array, "L"]
     triangles: Float[Array, "T"]
+    cones: Float[Array, "N 8 4"] | None
 
 
-def tree_of(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Tree:
+def tree_of(vertices: np.ndarray, triangles: np.ndarray, beside: Topology, dtype: Any) -> Tree:
     """The tree of a mesh: halves of equal number along the longest axis, and so on."""
     corners = vertices[triangles]
     middle = corners.mean(axis=1)
@@ -51,10 +55,16 @@ def tree_of(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Tree:
         size = np.maximum.reduceat(points, start[:-1]) - np.minimum.reduceat(points, start[:-1])
         key = points[np.arange(count), np.argmax(size, axis=1)[group]]
         order = order[np.lexsort((key, group))]
-    boxes = [_boxes(corners[order], _starts(count, _CHILDREN**rank)) for rank in range(1, ranks + 1)]
-    boxes = np.concatenate(boxes).reshape(-1, _CHILDREN, 5, 3)
-    parts = (boxes, _starts(count, _CHILDREN**ranks)[:-1], np.pad(order, (0, SPARE)))
-    return Tree(*(jnp.asarray(part, dtype) for part in parts))
+    first = [_starts(count, _CHILDREN**rank) for rank in range(1, ranks + 1)]
+    boxes = [_boxes(corners[order], start) for start in first]
+    cones = None
+    if is_hollow(vertices, triangles, beside):
+        near = [(box, start[:-1]) for box, start in zip(boxes, first, strict=True)]
+        every = [cones_of(vertices, triangles[order], beside, *group) for group in near]
+        cones = jnp.asarray(np.concatenate(every).reshape(-1, _CHILDREN, 4), dtype)
+    parts = (np.concatenate(boxes).reshape(-1, _CHILDREN, 5, 3), first[-1][:-1], np.pad(order, (0, SPARE)))
+    boxes, start, numbers = (jnp.asarray(part, dtype) for part in parts)
+    return Tree(boxes, start, numbers, cones)
 
 
 def _starts(count: int, groups: int) -> np.ndarray:
@@ -84,13 +94,13 @@ def nearest(
     wanted: Bool[Array, ""],
 ) -> Int[Array, ""]:
     """The triangle nearest to `query`; -1 if none is within `reach` (m), or the search is not `wanted`."""
-    square = jnp.min(_square_to(tree.boxes[0], query))
+    square = jnp.min(square_to(tree.boxes[0], query))
     wanted = wanted & (square <= reach**2)
     found = _nearest(frozen((tree, topology)), wanted, *frozen((query, reach)))
     return jnp.where(wanted, found, -1)
 
 
-def _square_to(boxes: Float[Array, "n 5 3"], query: Float[Array, "3"]) -> Float[Array, "n"]:
+def square_to(boxes: Float[Array, "n 5 3"], query: Float[Array, "3"]) -> Float[Array, "n"]:
     """The square of the distance to boxes."""
     along = dot(boxes[:, :3], query[None, None])
     beyond = jnp.maximum(jnp.maximum(boxes[:, 3] - along, along - boxes[:, 4]), 0)
@@ -99,9 +109,39 @@ def _square_to(boxes: Float[Array, "n 5 3"], query: Float[Array, "3"]) -> Float[
 
 @one_by_one
 def _nearest(tables, wanted, query, reach):
-    """Depth first, the nearest box first. What is still to open is a stack of boxes, with their distances
-    and the height `below` those out of the same box."""
     tree, topology = tables
+
+    def seen(node):
+        return square_to(rows(tree.boxes, node), query)
+
+    def look(some, best, square):
+        corners = rows(topology.patches, some)[:, :3] - query[None, None]
+        points = jax.vmap(lambda c: nearest_point(c, nearest_part(c)))(corners)
+        each = dot(points, points)
+        i = jnp.argmin(each)
+        return jnp.where(each[i] < square, some[i], best), jnp.minimum(square, each[i])
+
+    best = search(tree, wanted, reach, seen, look, jnp.full((), -1, jnp.int32))
+    found = best >= 0
+    return jnp.where(found, descend(topology, jnp.maximum(best, 0), query, found)[0], -1)
+
+
+def search(
+    tree: Tree,
+    wanted: Bool[Array, ""],
+    reach: Float[Array, ""],
+    seen: Callable[[Int[Array, ""]], Float[Array, "8"]],
+    look: Callable[[Int[Array, "4"], Any, Float[Array, ""]], tuple[Any, Float[Array, ""]]],
+    best: Any,
+) -> Any:
+    """The best of all triangles within `reach` (m), or `best` where there is none.
+
+    Depth first, the nearest box first. What is still to open is a stack of boxes, with their distances
+    and the height `below` those out of the same box.
+
+    **Arguments:** `seen(node)`: the squares of the distances to the boxes in a box; `look(some, best, square)`: the
+    best of some triangles and the best so far, of which `square` is the squared distance, and the new square.
+    """
     inner = tree.boxes.shape[0]
     ranks = 1
     while inner > (_CHILDREN**ranks - 1) // (_CHILDREN - 1):
@@ -113,7 +153,7 @@ def _nearest(tables, wanted, query, reach):
         return below[top], below, boxes, squares, best, square
 
     def expand(node, top, below, boxes, squares, best, square):
-        each = _square_to(rows(tree.boxes, node), query)
+        each = seen(node)
         number = jnp.sum(each < square).astype(jnp.int32)
         far_to_near, child = lax.sort((-each, _CHILDREN * node + 1 + slots), num_keys=1)
         # Those that are near enough come last: put them first.
@@ -123,22 +163,17 @@ def _nearest(tables, wanted, query, reach):
         squares = lax.dynamic_update_slice_in_dim(squares, -far_to_near, top, 0)
         return top + number, below, boxes, squares, best, square
 
-    def look(node, top, below, boxes, squares, best, square):
+    def open_leaf(node, top, below, boxes, squares, best, square):
         first = rows(tree.start, node - inner).astype(jnp.int32)
         some = span(tree.triangles, first, _LEAF).astype(jnp.int32)
-        corners = rows(topology.patches, some)[:, :3] - query[None, None]
-        points = jax.vmap(lambda c: nearest_point(c, nearest_part(c)))(corners)
-        each = dot(points, points)
-        i = jnp.argmin(each)
-        best = jnp.where(each[i] < square, some[i], best)
-        return top, below, boxes, squares, best, jnp.minimum(square, each[i])
+        return top, below, boxes, squares, *look(some, best, square)
 
     def one(carry):
         top, below, boxes, squares, best, square, count = carry
         top = top - 1
         node = boxes[top]
         kind = jnp.where(squares[top] >= square, 0, jnp.where(node < inner, 1, 2))
-        ways = (give_up, expand, look)
+        ways = (give_up, expand, open_leaf)
         return *lax.switch(kind, ways, node, top, below, boxes, squares, best, square), count + 1
 
     def goes_on(carry):
@@ -147,9 +182,7 @@ def _nearest(tables, wanted, query, reach):
     depth = _CHILDREN * (ranks + 1)
     top = wanted.astype(jnp.int32)
     # Just beyond the reach, so that what is as far as that is within.
-    square = reach**2 * (1 + 4 * jnp.finfo(query.dtype).eps)
+    square = reach**2 * (1 + 4 * jnp.finfo(reach.dtype).eps)
     none, zero = jnp.zeros(depth, jnp.int32), jnp.zeros((), jnp.int32)
-    start = (top, none, none, jnp.zeros(depth, query.dtype), zero - 1, square, zero)
-    best = lax.while_loop(goes_on, one, start)[4]
-    found = best >= 0
-    return jnp.where(found, descend(topology, jnp.maximum(best, 0), query, found)[0], -1)
+    start = (top, none, none, jnp.zeros(depth, reach.dtype), best, square, zero)
+    return lax.while_loop(goes_on, one, start)[4]

@@ -56,6 +56,11 @@ class Convex(Mesh):
         normals = jnp.cross(b - a, c - a)
         return normals / jnp.linalg.norm(normals, axis=1, keepdims=True)
 
+    @property
+    def is_hollow(self) -> bool:
+        """A hull is not."""
+        return False
+
     def _face(self, triangle: Int[Array, "*n"]) -> Int[Array, "*n"]:
         return self.facets[triangle].astype(jnp.int32)
 

@@ -3,6 +3,7 @@
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -77,11 +78,16 @@ class Cylinder(Shape):
         return jnp.stack([across, across, along])
 
     def points(self, facing) -> Float[Array, "8 3"]:
-        """Four points of each rim, the first of them where the rim is deepest in the other object.
+        """Four points of each rim, the first of them where the rim is deepest in the other object. Of several walls of that
+        the rim has such a point for each.
 
         They wander over the material while the cylinder rolls or wobbles.
         """
         axis = jnp.array([0, 0, 1], self.radius.dtype)
+        if jax.eval_shape(facing, axis).ndim == 2:
+            ends = jnp.stack([axis, -axis]) * self.length / 2
+            ways = jax.vmap(lambda end: _towards(facing(end)))(ends)
+            return (ends[:, None] + self.radius * ways).reshape(8, 3)
         rims = []
         for end in (axis * self.length / 2, -axis * self.length / 2):
             down = -facing(end) * jnp.array([1, 1, 0], self.radius.dtype)
@@ -173,6 +179,29 @@ def _side(query: Float[Array, "3"]) -> Float[Array, "3"]:
     """Outward from the axis; on it, along x."""
     unit = safe.normalise(query * jnp.array([1, 1, 0], query.dtype))
     return jnp.where(_radial(query) == 0, jnp.array([1, 0, 0], query.dtype), unit)
+
+
+def _towards(normals: Float[Array, "3 3"]) -> Float[Array, "4 3"]:
+    """Four directions from the axis, a quarter turn apart, but right into the walls that have these normals."""
+    down = -normals * jnp.array([[1, 1, 0]], normals.dtype)
+    size = safe.norm(down)
+    leans = size > 1e-6
+    down = down / jnp.where(leans, size, 1)[:, None]
+    x, z = (jnp.array(axis, size.dtype) for axis in ([1, 0, 0], [0, 0, 1]))
+    first = jnp.where(jnp.any(leans), down[jnp.argmax(leans)], x)
+    side = jnp.cross(z, first)
+    along, across = (jnp.sum(down * u[None], axis=1) for u in (first, side))
+    quarters = (jnp.arctan2(across, along) * (2 / jnp.pi)) % 4
+    more = leans & (along < 1 - 1e-6)
+    low, high = jnp.argmin(jnp.where(more, quarters, 4)), jnp.argmax(jnp.where(more, quarters, 0))
+    two, some = jnp.sum(more) > 1, jnp.any(more)
+    place = jnp.clip(jnp.round(quarters[low]), 1, jnp.where(two, 2, 3))
+    last = jnp.maximum(jnp.clip(jnp.round(quarters[high]), 2, 3), place + 1)
+    ways = [first]
+    for i, way in ((1, side), (2, -first), (3, -side)):
+        way = jnp.where(some & (place == i), down[low], way)
+        ways.append(jnp.where(two & (last == i), down[high], way))
+    return jnp.stack(ways)
 
 
 def _cap(height: Any) -> Int[Array, ""]:

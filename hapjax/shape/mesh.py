@@ -14,6 +14,7 @@ from ..errors import InputError
 from ._creases import Creases, creases_of
 from ._grid import Grid, grid_of
 from ._hold import hold, pseudonormal, unit_normal
+from ._local import others
 from ._planes import corner_of, frozen, holding
 from ._shape import Corner, Edges, Shape, SurfacePoint, Track, begin, ease
 from ._solid import Solid, solid_of
@@ -129,10 +130,37 @@ class Mesh(Shape):
     ) -> tuple[SurfacePoint, Bool[Array, ""]]:
         """As `closest`, and whether it was found: it is looked for where it is `wanted`, as far away as a quarter of the
         diagonal of the mesh's box."""
-        still = frozen(self)
-        across = still.grid.high - still.grid.low
-        triangle = self._search(query, jnp.sqrt(dot(across, across)) / 4, wanted)
+        triangle = self._search(query, self._sight(), wanted)
         return self._near(jnp.maximum(triangle, 0), query), triangle >= 0
+
+    @property
+    def is_hollow(self) -> bool:
+        """Whether the surface bends inward somewhere, or is in pieces: a ball may touch it in several places at once."""
+        return self.tree.cones is not None
+
+    def walls(
+        self, query: Float[Array, "3"], reach: Float[Array, ""]
+    ) -> tuple[SurfacePoint, Bool[Array, "3"]]:
+        """As `closest`, and up to two other points of a hollow surface at which a ball about `query` can touch it as well,
+        and which of the three were found. The two are locally closest, within `reach` (m) of the query.
+
+        Each lies above the planes of those nearer to the query; what is below belongs to the wall that has the plane.
+        """
+        first = self._nearest(query)
+        near = self._near(first, query)
+        outward = frozen(near.point - query)
+        side = jnp.where(frozen(near.depth) > 0, -1, 1).astype(query.dtype)
+        still, place = frozen((self, query / self.scale))
+        more = others(
+            still.tree, still.topology, place, frozen(reach / self.scale), outward / still.scale, side
+        )
+        beside = jax.vmap(lambda triangle: self._near(triangle, query))(jnp.maximum(more, 0))
+        every = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), near, beside)
+        return every, jnp.concatenate([jnp.ones(1, bool), more >= 0])
+
+    def sight(self) -> Float[Array, ""]:
+        """How far away (m) what may touch soon is looked for: a quarter of the diagonal of the mesh's box."""
+        return frozen(self.scale) * self._sight()
 
     def start(self, query: Float[Array, "3"]) -> Track:
         """A point that appears inside is held by the nearest triangle."""
@@ -193,6 +221,11 @@ class Mesh(Shape):
     def thickness(self) -> Float[Array, ""]:
         """Volume over area: half the thickness of a plate."""
         return self.scale * self.creases.thickness
+
+    def _sight(self) -> Float[Array, ""]:
+        still = frozen(self)
+        across = still.grid.high - still.grid.low
+        return jnp.sqrt(dot(across, across)) / 4
 
     def _nearest(self, query: Float[Array, "3"]) -> Int[Array, ""]:
         """The triangle nearest to `query`, of all."""
@@ -265,7 +298,7 @@ def _parts(
         grid_of(points, faces, dtype),
         solid_of(vertices[faces]),
         creases_of(points, faces, dtype),
-        tree_of(points, faces, dtype),
+        tree_of(points, faces, beside, dtype),
         touching_of(points, np.asarray(beside.vertex_normals, np.float64), contact_points, dtype),
     )
 
