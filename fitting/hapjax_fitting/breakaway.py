@@ -1,14 +1,15 @@
-"""The static mu beside a kinetic one: the forces know it only by when a finger breaks away.
+"""Numbers that gradients do not see: those that say from where on something gives way, and nothing else.
 
-Before that it sticks whatever mu_static is, and after that it slides at mu_kinetic; so the residuals are constant
-in mu_static but for jumps, where another step is the first to slide. Gradients are 0: it is searched by its loss, and its
-likelihood itself, a staircase, says how well it is known. Where its jumps are depends on the other numbers, whose
-gradients do not see them: a search of those may stop at a jump, and all are then searched together.
+The static mu beside a kinetic one shows only in when a finger breaks away: before that it sticks whatever mu_static is, and
+after that it slides at mu_kinetic. A dead band shows only in which torques turn nothing, Karnopp's velocity band only in
+which slips are slow enough to hold. So the residuals are constant in such a number but for jumps, where another step is the
+first to give way. Gradients are 0: it is searched by its loss, and its likelihood itself, a staircase, says how well it is
+known. Where its jumps are depends on the other numbers, whose gradients do not see them: a search of those may stop at a
+jump, and all are then searched together.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import jax
@@ -26,7 +27,9 @@ from .solve import Solutions
 from .uncertainty import certainty
 
 _LANES, _AT_ONCE = 50, 100_000  # rollouts side by side, and steps of them, to bound the memory
-_TRIED = 100  # values of mu_static, for the same other numbers
+_TRIED = 100  # values, for the same other numbers
+_BANDS, _FAR_OFF = ("dead_band", "velocity_band"), 1e6  # up to which factor their ranges are looked for
+_CHI95 = 3.841459  # of chi-squared with one degree of freedom
 _TOGETHER, _FARTHER = 512, 2.0  # points, and how many times farther off than is likely
 _CELLS, _MARGIN = 1024, 20  # of a staircase, and how many at an end are to be unlikely
 _BEYOND, _WIDER = 0.1, 12  # a share of the width on either side, and how many times it may grow threefold
@@ -58,19 +61,23 @@ class Posterior:
         return float(low), float(high)
 
 
-def is_static(problem: Problem, i: int) -> bool:
-    """Whether a free number is the mu_static of a surface or contact."""
-    return problem.parameters[i].path.endswith(".mu_static")
+def is_unseen(problem: Problem, i: int) -> bool:
+    """Whether a free number is one that gradients do not see."""
+    return _leaf(problem, i) in ("mu_static", *_BANDS)
+
+
+def _leaf(problem: Problem, i: int) -> str:
+    return problem.parameters[i].path.rsplit(".", 1)[-1]
 
 
 def broken_away(ends: Solutions, problem: Problem, variance: float) -> Float[Array, " p"] | None:
-    """Free numbers that explain the data better with another mu_static, if there are any.
+    """Free numbers that explain the data better with another value of one that gradients do not see, if there are any.
 
     Or, where the search of the others stopped at a jump, those from which it may go on.
     """
     free, found, covariance = ends.free[ends.best], None, _covariance(ends)
     lowest = float(ends.loss[ends.best]) - NOTICEABLE * variance / 2
-    for i in filter(lambda i: is_static(problem, i), range(len(problem.parameters))):
+    for i in filter(lambda i: is_unseen(problem, i), range(len(problem.parameters))):
         low, high = _range(free, problem, i)
         if not 0 < low < high:
             continue
@@ -97,11 +104,11 @@ def _covariance(ends: Solutions) -> Float[np.ndarray, "p p"]:
 
 @dataclass(frozen=True)
 class _Scan:
-    """The free numbers with the best mu_static for these others, in the middle of all that are as good: at the edge the
+    """The free numbers with the best value of one for these others, in the middle of all that are as good: at the edge the
     next step of another number would meet a jump.
 
     Their `loss`; between which values, `low` and `high`, others may be better together with other numbers; and whether
-    the mu_static before was `at_a_jump`.
+    the value before was `at_a_jump`.
     """
 
     free: Float[Array, " p"]
@@ -138,7 +145,7 @@ def _scanned(
 def posterior(
     free: Float[Array, " p"], problem: Problem, i: int, variance: float, covariance: Float[np.ndarray, "p p"]
 ) -> Posterior:
-    """How likely each mu_static is; `variance`, that of the whitened residuals, `covariance`, that of the others.
+    """How likely each value of a number is; `variance`, that of the whitened residuals, `covariance`, that of the others.
 
     Where a jump of the likelihood is far above the noise, all values between two jumps are alike likely, and no other.
     Where the jumps are depends on the other numbers, which are not known either: each cell is tried with other ones,
@@ -180,12 +187,30 @@ def _draws(free: Float[Array, " p"], i: int, covariance: Float[np.ndarray, "p p"
 
 
 def _between(free: Float[Array, " p"], problem: Problem, i: int, allowed: float) -> tuple[float, float]:
-    """The lowest and highest mu_static at which twice the loss is at most `allowed` above that of `free`."""
+    """The lowest and highest value at which twice the loss is at most `allowed` above that of `free`."""
     loss = _loss_of(free, problem, i)
     most = float(loss_at(free, problem)) + allowed / 2
     value = float(problem.parameters[i].transform.value(free[i]))
     low, high = _range(free, problem, i)
     return _edge(loss, most, value, min(low, value)), _edge(loss, most, value, max(high, value))
+
+
+def open_ends(
+    free: Float[Array, " p"], problem: Problem, i: int, variance: float
+) -> tuple[float | None, float | None] | None:
+    """What is known of a band that explains the data as well at an end of its range, where it has no part in anything: up
+    to where, or from where on, it does (95 %); `None` at an open end. `None` of a band with no such end."""
+    if _leaf(problem, i) not in _BANDS:
+        return None
+    low, high = _range(free, problem, i)
+    if low == high:
+        return None, None
+    loss, least = _loss_of(free, problem, i), float(loss_at(free, problem))
+    as_well = [2 * (loss(end) - least) <= NOTICEABLE * variance for end in (low, high)]
+    if not any(as_well):
+        return None
+    lower, upper = _between(free, problem, i, _CHI95 * variance)
+    return None if as_well[0] else lower, None if as_well[1] else upper
 
 
 def _edge(loss: Callable[[float], float], most: float, inside: float, outside: float) -> float:
@@ -199,8 +224,20 @@ def _edge(loss: Callable[[float], float], most: float, inside: float, outside: f
 
 
 def _range(free: Float[Array, " p"], problem: Problem, i: int) -> tuple[float, float]:
-    """From the kinetic mu, below which it cannot be, to where nothing breaks away."""
+    """Between which values the loss may change.
+
+    Of a mu_static from the kinetic mu, below which it cannot be, to where nothing breaks away. Of a band as it does: below,
+    all gives way, and above, nothing; the ends are equal where there is no difference.
+    """
     parameter = problem.parameters[i]
+    if _leaf(problem, i) in _BANDS:
+        value = float(parameter.transform.value(free[i]))
+        values = np.geomspace(value / _FAR_OFF, value * _FAR_OFF, _TRIED)
+        losses = _losses(np.tile(free, (_TRIED, 1)), problem, i, values)
+        above, below = (np.flatnonzero(~np.isclose(losses, losses[end], rtol=1e-6)) for end in (0, -1))
+        if not len(above) or not len(below):
+            return value, value
+        return float(values[above[0] - 1]), float(values[below[-1] + 1])
     kinetic = find_leaf(
         problem.scene_at(free, parameter.place or 0), parameter.path.removesuffix("mu_static") + "mu_kinetic"
     )
@@ -219,12 +256,14 @@ def _losses(
     points = jnp.asarray(free).at[:, i].set(value_near(problem.parameters[i], values, free))
     steps = sum(group.hips.shape[0] * group.hips.shape[1] for group in problem.groups)
     lanes = max(1, min(_LANES, _AT_ONCE // steps))
-    return gathered(_losses_at(points, problem, lanes)).astype(np.float64)
+    whole = jnp.pad(points, ((0, -len(points) % lanes), (0, 0)), mode="edge").reshape(-1, lanes, len(free[0]))
+    losses = [gathered(_losses_at(some, problem)) for some in whole]  # one program, however many points
+    return np.concatenate(losses)[: len(points)].astype(np.float64)
 
 
-@partial(jax.jit, static_argnums=2)
-def _losses_at(points: Float[Array, "n p"], problem: Problem, lanes: int) -> Float[Array, " n"]:
-    return jax.lax.map(lambda free: loss_at(free, problem), points, batch_size=lanes)
+@jax.jit
+def _losses_at(points: Float[Array, "n p"], problem: Problem) -> Float[Array, " n"]:
+    return jax.vmap(lambda free: loss_at(free, problem))(points)
 
 
 def _with(free: Float[Array, " p"], problem: Problem, i: int, value: float) -> Float[Array, " p"]:

@@ -76,7 +76,8 @@ def _firm(
     first = int(np.argmax(force[moment]))
     normal = np.where(force[moment][:, None] > 0, direction[moment], 0)
     mu = thing.surface.mu if thing.surface.mu_static is None else thing.surface.mu_static
-    slip = float(np.max(np.asarray(mu))) * float(depth.max())
+    factors = 1.0 if thing.surface.finger_mu is None else np.asarray(thing.surface.finger_mu)
+    slip = float(np.max(np.asarray(mu))) * float(np.max(factors * depth))
     return Contact(
         path[: moment + 1],
         normal,

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from .breakaway import posterior
+from .breakaway import open_ends, posterior
 from .grip import is_needed, largest_ratio, raised
 from .parameters import Parameter
 from .problem import NOTICEABLE, Problem
@@ -30,7 +30,13 @@ def estimate(parameter: Parameter, free: Array, known: Certainty, i: int) -> Est
 
 
 def breakaway(problem: Problem, free: Array, i: int, variance: float, covariance: np.ndarray) -> Estimate:
-    """A mu_static, by its likelihood instead of by gradients: the mean and the middle of what it leaves."""
+    """A number that gradients do not see, by its likelihood: the mean and the middle of what it leaves."""
+    ends = open_ends(free, problem, i, variance)
+    if ends is not None:
+        which = {(True, False): "any smaller one", (False, True): "any larger one"}
+        which = which.get((ends[0] is None, ends[1] is None))
+        reason = "the data do not depend on it" if which is None else f"{which} explains the data as well"
+        return Estimate(None, None, ends, False, reason=reason)
     likely = posterior(free, problem, i, variance, covariance)
     return Estimate(
         likely.mean(), likely.deviation(), likely.central(0.95), True, interval99=likely.central(0.99)

@@ -15,11 +15,11 @@ from jaxtyping import Array, Float
 from hapjax import InputError, Recording, Scene, cast
 
 from . import robust
-from .breakaway import broken_away, is_static
+from .breakaway import broken_away, is_unseen
 from .dropping import lost_at, lost_of, of_nothing, without
 from .estimates import breakaway, estimate, not_identified
 from .findings import findings_of
-from .grip import cost_of_grip, holding_instead, slipping_instead
+from .grip import cost_of_grip, holding_instead, is_mu, slipping_instead
 from .identifiability import identifiability
 from .interrupt import stopping_at_interrupts
 from .noise import lost as is_lost
@@ -162,7 +162,7 @@ def fit(
         problem, ends, trace, used, called, time.perf_counter() - began, noise, lost_of(lost, names)
     )
     result = result if enough else of_nothing(result)
-    friction = any(".mu" in parameter.path for parameter in parameters)
+    friction = any(map(is_mu, parameters))
     return replace(result, findings=findings_of(scene, recordings, names, friction))
 
 
@@ -292,7 +292,7 @@ def _result(
         known = known.widened(factors, widest)
     spread = known.covariance if back is None else back @ known.covariance @ back.T
     explained = max(size.values()) < _EXPLAINED  # in units of the noise
-    jumping = [is_static(problem, i) and cost[i] > chance for i in range(len(free))]
+    jumping = [is_unseen(problem, i) and cost[i] > chance for i in range(len(free))]
     estimates = {
         p.name: breakaway(problem, free, i, typical, spread)
         if jumping[i]

@@ -18,20 +18,28 @@ from .sharding import Layout, each, gathered
 from .start import Starts
 from .transform import Logit
 
+_OF_FINGER = "finger_mu"
+
 
 class Grip(eqx.Module):
-    """Touches over time: normal and tangential force (N), the face touched, and the normal in the world
-    frame, which is `None` for contacts."""
+    """Touches over time: normal and tangential force (N), the face touched, the static mu there, by what factor the finger
+    makes it larger, and the normal in the world frame, which is `None` for contacts."""
 
     normal_force: Float[Array, "*r n"]
     friction_force: Float[Array, "*r n"]
     face: Int[Array, "*r n"]
+    mu: Float[Array, "*r n"]
+    factor: Float[Array, "*r n"]
     direction: Float[Array, "*r n 3"] | None
 
 
 def is_mu(parameter: Parameter) -> bool:
-    """Whether a parameter is a coefficient of friction."""
-    return parameter.path.rsplit(".", 1)[-1] in ("mu", "mu_static", "mu_kinetic")
+    """Whether a parameter is a coefficient of friction, or a finger's factor of it."""
+    return parameter.path.rsplit(".", 1)[-1] in ("mu", "mu_static", "mu_kinetic", _OF_FINGER)
+
+
+def _is_of_finger(parameter: Parameter) -> bool:
+    return parameter.path.endswith(f".{_OF_FINGER}")
 
 
 def cost_of_grip(free: Float[Array, " p"], problem: Problem) -> Float[np.ndarray, " p"]:
@@ -65,12 +73,13 @@ def slipping_instead(
 
     From a mu so large that nothing slips the solver cannot find down again: the loss is flat there. So
     smaller ones are tried, from the largest |f_t| / f_n down to a thousandth, all `flat` ones of an object
-    or contact at once.
+    or contact at once, but those of fingers on their own.
     """
     found = None
     lowest = float(loss_at(free, problem)) - NOTICEABLE * variance / 2
-    for part in sorted({_part(problem.parameters[i]) for i in np.flatnonzero(flat)}):
-        places = [i for i in np.flatnonzero(flat) if _part(problem.parameters[i]) == part]
+    kind = {i: (_part(p), _is_of_finger(p)) for i, p in enumerate(problem.parameters) if flat[i]}
+    for part in sorted(set(kind.values())):
+        places = [i for i in kind if kind[i] == part]
         top = max(largest_ratio(free, problem, problem.parameters[i]) for i in places)
         base = free if found is None else found
         for factor in 0.98 * 1.5 ** -np.arange(18.0):
@@ -97,7 +106,7 @@ def holding_instead(
     lowest = float(loss_at(free, problem)) - NOTICEABLE * variance / 2
     for i in np.flatnonzero(low).tolist():
         parameter, base = problem.parameters[i], free if found is None else found
-        if not parameter.path.endswith(".mu"):
+        if not parameter.path.endswith((".mu", f".{_OF_FINGER}")):
             continue
         enough = 1.02 * largest_ratio(raised(base, parameter, i), problem, parameter)
         trial = base.at[i].set(value_near(parameter, enough, base)) if enough > 0 else base
@@ -134,11 +143,11 @@ def value_near(parameter: Parameter, value: Any, like: Any) -> Array:
 
 
 def largest_ratio(free: Float[Array, " p"], problem: Problem, parameter: Parameter) -> float:
-    """The largest ratio of tangential to normal force in the model of the recordings; 0 where nothing
-    touches.
+    """The mu, or factor of a finger, that the largest ratio of tangential to normal force in the model of the recordings
+    asks for; 0 where nothing touches.
 
-    Of a mu of one face, only touches on that face count. Touches of less than a thousandth of the firmest
-    one are left out: their ratio is a quotient of rounding errors.
+    Of a mu of one face, only touches on that face count, of a factor those of its finger. Touches of less than a
+    thousandth of the firmest one are left out: their ratio is a quotient of rounding errors.
     """
     largest = 0.0
     for group in problem.groups:
@@ -151,9 +160,14 @@ def largest_ratio(free: Float[Array, " p"], problem: Problem, parameter: Paramet
             steps = gathered(group.steps)[own][:, None, None]
             normal = np.where(np.arange(normal.shape[1])[:, None] < steps, normal, 0)
         firm = normal > 1e-3 * normal.max(initial=0)
-        if parameter.index is not None:
-            firm &= gathered(grip.face) == parameter.index
-        largest = max(largest, float(np.max(tangential[firm] / normal[firm], initial=0)))
+        beside, index = gathered(grip.factor), parameter.index
+        if _is_of_finger(parameter):
+            beside = gathered(grip.mu)
+            firm &= np.arange(firm.shape[-1]) == index
+        elif index is not None:
+            firm &= gathered(grip.face) == index
+        firm &= beside > 0
+        largest = max(largest, float(np.max(tangential[firm] / (normal * beside)[firm], initial=0)))
     return largest
 
 
@@ -188,9 +202,13 @@ def grips(
         state, reply = played(scene, path, angles, starts=starts or {})
         found, lost = {}, reply.lost[:, None]
 
-        def grip_of(touch, face, direction):
+        def grip_of(touch, surface, face, direction):
             normal, friction = touch.normal_force, safe.norm(touch.friction_force)
-            return Grip(jnp.where(lost, 0, normal), jnp.where(lost, 0, friction), face, direction)
+            mu = surface.mu if surface.mu_static is None else surface.mu_static
+            mu = jnp.broadcast_to(mu[face] if mu.ndim else mu, face.shape)
+            factor = jnp.ones_like(normal[0]) if surface.finger_mu is None else surface.finger_mu
+            factor = jnp.broadcast_to(factor, normal.shape)
+            return Grip(jnp.where(lost, 0, normal), jnp.where(lost, 0, friction), face, mu, factor, direction)
 
         for name, touch in reply.touch.items():
             thing = scene.object[name]
@@ -203,9 +221,10 @@ def grips(
             local = jax.vmap(rotation.turn_back)(matrix, path - position[:, None, :])
             near = jax.vmap(jax.vmap(thing.shape.closest))(local)
             direction = jax.vmap(rotation.turn)(matrix, near.normal)
-            found[f"object.{name}"] = grip_of(touch, near.face, direction)
+            found[f"object.{name}"] = grip_of(touch, thing.surface, near.face, direction)
         for name, touch in reply.contact.items():
-            found[f"contact.{name}"] = grip_of(touch, jnp.zeros(touch.normal_force.shape, jnp.int32), None)
+            face = jnp.zeros(touch.normal_force.shape, jnp.int32)
+            found[f"contact.{name}"] = grip_of(touch, scene.contact[name], face, None)
         return found
 
     return each(one, (scene, starts), (hips, gimbals), layout)

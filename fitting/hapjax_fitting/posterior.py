@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from hapjax import InputError
 from hapjax.extras import need
 
-from .breakaway import is_static
+from .breakaway import is_unseen
 from .problem import Problem, stacked_residuals
 from .report import digits
 from .result import FitResult
@@ -91,7 +91,7 @@ def posterior(result: FitResult, samples: int = 1000, seed: int = 0) -> Posterio
                 f"posterior needs identified numbers, and {name} is not ({estimate.reason}); "
                 "allowed: numbers that the data or a prior fix"
             )
-        if is_static(problem, i):
+        if is_unseen(problem, i):
             raise InputError(f"posterior needs gradients, and {name} has none; allowed: a fit without it")
     need("blackjax", "posterior")
     free = jnp.asarray(result.free)

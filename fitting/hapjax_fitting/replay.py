@@ -9,7 +9,7 @@ import numpy as np
 
 from hapjax import Recording, Scene, Surface, rotation
 
-from .grip import grips
+from .grip import Grip, grips
 from .observation import CHANNELS, Observation, as_sensed, observation_of, predicted
 from .result import FitResult
 from .sensors import Sensors
@@ -95,39 +95,50 @@ def _touching(
     observation: Observation,
 ) -> Touching:
     grip, surface = found[path], _surface(result.scene_of(name), path)
-    static = surface.mu if surface.mu_static is None else surface.mu_static
-    limit = _of_face(static, grip.face) * grip.normal_force
+    limit = grip.mu * grip.factor * grip.normal_force
     size = grip.friction_force
     slipping = (size > 0) & (size >= (1 - 1e-4) * limit)
     if surface.mu_kinetic is not None:
-        sliding = _of_face(surface.mu_kinetic, grip.face) * grip.normal_force
+        sliding = _of_face(surface.mu_kinetic, grip.face) * grip.factor * grip.normal_force
         slipping |= (size > 0) & (np.abs(size - sliding) <= 1e-4 * sliding)
     measured = (
         _measured(result.sensors_of(name), path, found, observation) if grip.direction is not None else None
     )
-    slopes = _slopes(result, name, path, np.unique(grip.face[grip.normal_force > 0]))
+    slopes = _slopes(result, name, path, grip)
     if any("at least" in name for name in slopes) or not slopes:
         limit = None
     return Touching(path, times, grip.normal_force, size, slipping, limit, slopes, measured)
 
 
-def _slopes(result: FitResult, recording: str, path: str, faces: np.ndarray) -> dict[str, float]:
-    """Each mu of the faces that were touched; a lower bound where that is all that is known."""
-    found = {}
-    surface = _surface(result.scene_of(recording), path)
+def _slopes(result: FitResult, recording: str, path: str, grip: Grip) -> dict[str, float]:
+    """Each mu of the faces that were touched, and of the fingers where these differ."""
+    surface, touched = _surface(result.scene_of(recording), path), np.asarray(grip.normal_force) > 0
     prefix = f"{path}.surface" if path.startswith("object.") else path
+    faces, fingers = np.unique(np.asarray(grip.face)[touched]), np.flatnonzero(touched.any(axis=0))
+    found = {}
     for field in ("mu", "mu_static", "mu_kinetic"):
-        value = getattr(surface, field)
-        if value is None:
-            continue
-        for face in faces if value.ndim else [None]:
-            name = f"{prefix}.{field}" if face is None else f"{prefix}.{field}[{face}]"
-            fitted = result.parameters.get(name, result.parameters.get(f"{name} @ {recording}"))
-            label = field if face is None else f"{field}[{face}]"
-            if fitted is None or fitted.identified:
-                found[label] = float(value if face is None else value[face])
-            elif fitted.interval95[0] is not None:
-                found[f"{label} at least"] = fitted.interval95[0]
+        found |= _known(result, recording, f"{prefix}.{field}", getattr(surface, field), faces)
+    if surface.finger_mu is None:
+        return found
+    factors = _known(result, recording, f"{prefix}.finger_mu", surface.finger_mu, fingers)
+    return {
+        f"{name} × {finger}": mu * factor for name, mu in found.items() for finger, factor in factors.items()
+    }
+
+
+def _known(result: FitResult, recording: str, path: str, value, places: np.ndarray) -> dict[str, float]:
+    """The number of a path, or those of some places in it; a lower bound where that is all that is known."""
+    found, field = {}, path.rsplit(".", 1)[-1]
+    if value is None:
+        return found
+    for place in places if value.ndim else (None,):
+        index = "" if place is None else f"[{place}]"
+        name = f"{path}{index}"
+        fitted = result.parameters.get(name, result.parameters.get(f"{name} @ {recording}"))
+        if fitted is None or fitted.identified:
+            found[f"{field}{index}"] = float(value if place is None else value[place])
+        elif fitted.interval95[0] is not None:
+            found[f"{field}{index} at least"] = fitted.interval95[0]
     return found
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from hapjax import InputError, Recording
 
-from .breakaway import is_static
+from .breakaway import is_unseen
 from .candidates import MOTIONS, contact_of, path_of
 from .problem import Problem, by_channel, grouped
 from .result import FitResult
@@ -52,7 +52,8 @@ class Suggestion:
             factor = self.now[name] / self.errors[motion][name]
             words.append(f"For {name}: {motion} (standard error {factor:.3g} times smaller).")
         words += [
-            f"{name} shows in when a finger breaks away, which is not counted here." for name in self.unseen
+            f"{name} shows only in when something gives way, which is not counted here."
+            for name in self.unseen
         ]
         rows = [("(as it is)", "", *(f"{error:.2g}" for error in self.now.values()))]
         rows += [
@@ -124,7 +125,7 @@ def suggest(result: FitResult) -> Suggestion:
         now,
         max(gain, key=lambda name: gain[name]),
         best_for,
-        tuple(p.name for i, p in enumerate(problem.parameters) if is_static(problem, i)),
+        tuple(p.name for i, p in enumerate(problem.parameters) if is_unseen(problem, i)),
         {name: path for name, (path, _) in made.items()},
     )
 
