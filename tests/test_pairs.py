@@ -82,7 +82,6 @@ RESTS = {
     "table on a slab": (TABLE, UPRIGHT, SLAB, UPRIGHT, 8),
     "ball on a hull": (BALL, UPRIGHT, BLOCK, UPRIGHT, 1),
     "capsule across a hull": (CAPSULE, LYING_X, HULL, UPRIGHT, 2),
-    "cylinder upright on a hull": (CYLINDER, UPRIGHT, BLOCK, UPRIGHT, 4),
     "capsule along a cylinder": (CAPSULE, LYING, hapjax.Cylinder(0.02, 0.2), LYING, 2),
 }
 
@@ -172,9 +171,7 @@ def test_names_in_the_other_order_are_the_same_contact():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "other", ["capsule", "cylinder", "ball", "plane"]
-)  # a box has no more than a cylinder
+@pytest.mark.parametrize("other", ["capsule", "ball", "plane"])
 def test_a_smooth_mesh_that_has_no_edges_touches_by_its_vertices(other):
     shape = {**FREE, "plane": hapjax.Plane()}[other]
     smooth = hapjax.Mesh(*meshes.icosphere(3, 0.02))
