@@ -1,47 +1,68 @@
 """Whether the clocks of a recording's channels agree."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.signal import savgol_filter
 
-from hapjax import Finding
+from hapjax import Finding, Mesh
 
 from .evidence import Evidence
+from .motion import Stuck
+from .noise import correlation_time
 
-_FAR = 0.25  # s, the largest shift that is looked for
-_COARSE, _FINE = 51, 21  # shifts that are tried
+_FAR = 1.0  # s, the largest shift that is looked for, and
+_FAR_ON_MESHES, _PART = 0.25, 0.65  # of a recording's length
+_COARSE, _FINE = 0.01, 21  # s between the shifts that are tried first, and how many are tried near the best
 _SAMPLES = 400  # moments that are looked at
-_BETTER = 0.4  # of the squares that are not explained: what a shift must bring them down to
-_NOISE = 2.0  # of the squares that noise leaves: beyond it there is something to explain
-_LEAST = 2e-3  # s
-_TICK = 1e-3  # s, over which rates are taken
+# Of the squares beyond noise: what a shift must bring them down to, and to be told by its size, unless what is left is no
+# more than so many times the noise.
+_BETTER, _SURE, _CLOSE = 0.4, 0.15, 4.0
+# Of a recording's length: a shift beyond it must bring them down to so much, as chance has many to choose from.
+_WIDE, _WIDE_BETTER = 0.25, 0.08
+_ENOUGH = 0.2  # of the moments
+_CHANCE = 40.0  # times what one shift saves by chance (its standard error, squared)
+_LEAST, _LEAST_OF_POSES = 2e-3, 6e-3  # s, and where noisy poses count: rates are not well known there
+_TICK, _LONG_TICK = 5e-4, 8e-3  # s before and after, over which rates are taken, and where noisy poses count
+_SMOOTH = 0.015  # s, over which noisy poses are smoothed
 
 
-def clock_of(evidence: Evidence) -> tuple[Evidence, list[Finding]]:
-    """The evidence with clocks that agree, and by how much one was shifted.
+def clock_of(evidence: Evidence, suspects: Sequence[Stuck] = ()) -> tuple[Evidence, list[Finding]]:
+    """The evidence with clocks that agree, and by how much one was shifted; axes that look stuck say nothing of it.
 
     The forces are compared with those that the fingers' depths give, at all shifts of the channel's clock; the force of a
     surface is a combination of its depth and of depth times its rate (Hunt and Crossley 1975), with the best coefficients.
     """
-    force = evidence.force
-    assert force is not None
+    force, hip_t = evidence.force, evidence.recording.hip_t
+    assert force is not None and hip_t is not None
     few = slice(None, None, -(-len(force) // _SAMPLES))
-    thin = replace(evidence, times=evidence.times[few], force=force[few])
-    now = float(_costs(thin, np.zeros(1), (1.0, 1.0))[0])
-    if now <= _NOISE * evidence.blur**2 * force[few].size:
-        return evidence, []
-    length = float(evidence.recording.hip_t[-1] - evidence.recording.hip_t[0])  # pyright: ignore[reportOptionalSubscript]
-    far = min(_FAR, length / 4)
+    thin = replace(_smoothed(evidence), times=evidence.times[few], force=force[few])
+    used = _free_of(thin, suspects)
+    length = float(hip_t[-1] - hip_t[0])
+    mesh = any(isinstance(o.shape, Mesh) for o in evidence.scene.object.values())
+    far = min(_FAR_ON_MESHES if mesh else _FAR, _PART * length)
     channels = {"force": (1.0, 1.0)}  # how its shift moves hip and pose against it
     if not evidence.places.fixed.all():
         channels |= {"hip": (-1.0, 0.0), "pose": (0.0, -1.0)}
-    found = {name: _best(thin, moved, far) for name, moved in channels.items()}
+    found = {name: _best(thin, used, moved, far) for name, moved in channels.items()}
     name = min(found, key=lambda name: found[name][1])
     lag, cost = found[name]
-    if cost > _BETTER * now or abs(lag) < max(_LEAST, 2 * length / len(evidence.recording.hip_t)):  # pyright: ignore[reportArgumentType]
+    now, less = (_unexplained(thin, used, np.array([x]), channels[name])[0] for x in (0.0, lag))
+    count = int(used.sum())
+    noise = min(evidence.blur**2 * count, cost)
+    before = float(np.sum(now**2))
+    chance = cost / count * max(correlation_time([less[None, :, None]]), 1)
+    part = (cost - noise) / max(before - noise, 1e-300)
+    fixed = evidence.places.fixed.all()
+    least = max(_LEAST if fixed else _LEAST_OF_POSES, 2 * length / len(hip_t))
+    better = _BETTER if abs(lag) <= _WIDE * length else _WIDE_BETTER
+    if before - cost < _CHANCE * chance or part > better or abs(lag) < least:
         return evidence, []
+    sure = part <= _SURE or cost <= _CLOSE * noise
+    how = _told(lag, far - _COARSE) if sure else "shifted, by how much is not sure"
     sentence = (
-        f"{name} is {1e3 * abs(lag):.1f} ms {'late' if lag > 0 else 'early'}: with that undone, only {cost / now:.1%} "
+        f"{name} is {how}: with that undone, only {cost / before:.1%} "
         "of what the fingers' depths do not explain of the force is left"
     )
     finding = Finding(name, "shifted clock", sentence)
@@ -50,36 +71,78 @@ def clock_of(evidence: Evidence) -> tuple[Evidence, list[Finding]]:
     return replace(evidence, places=places), [finding]
 
 
-def _best(evidence: Evidence, moved: tuple[float, float], far: float) -> tuple[float, float]:
+def _told(lag: float, far: float) -> str:
+    if abs(lag) > far:
+        return f"shifted by more than {far:.2g} s, late or early"
+    return f"{1e3 * abs(lag):.1f} ms {'late' if lag > 0 else 'early'}"
+
+
+def _free_of(evidence: Evidence, suspects: Sequence[Stuck]) -> np.ndarray:
+    """Of which moments and fingers (N, F) the positions are believed; of all, where there would be few."""
+    assert evidence.force is not None
+    used = np.ones(evidence.force.shape[:2], bool)
+    for each in suspects:
+        used[(evidence.times >= each.begin) & (evidence.times <= each.end), each.finger] = False
+    return used if used.mean() > _ENOUGH else np.ones_like(used)
+
+
+def _smoothed(evidence: Evidence) -> Evidence:
+    """With poses whose noise is less, so that rates can be told from them."""
+    recording = evidence.recording
+    if recording.pose is None or recording.pose_t is None or len(recording.pose_t) < 2:
+        return evidence
+    window = int(_SMOOTH / float(np.median(np.diff(recording.pose_t)))) // 2 * 2 + 1
+    if not 5 <= window <= len(recording.pose_t):
+        return evidence
+    pose = recording.pose.copy()
+    turned = np.sum(pose[1:, :, 3:] * pose[:-1, :, 3:], axis=-1) < 0
+    pose[1:, :, 3:] *= np.where(np.cumsum(turned, axis=0) % 2 == 1, -1.0, 1.0)[..., None]
+    pose = np.asarray(savgol_filter(pose, window, 2, axis=0))
+    pose[..., 3:] /= np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
+    return replace(evidence, recording=replace(recording, pose=pose))
+
+
+def _best(
+    evidence: Evidence, used: np.ndarray, moved: tuple[float, float], far: float
+) -> tuple[float, float]:
     """The shift (s) that explains the forces best, the least of those that are about as good, and what it leaves."""
-    lags = np.linspace(-far, far, _COARSE)
-    costs = _costs(evidence, lags, moved)
+    lags = np.linspace(-far, far, 2 * int(np.ceil(far / _COARSE)) + 1)
+    costs = _costs(evidence, used, lags, moved)
     good = lags[costs <= 1.1 * costs.min()]
     first = good[np.argmin(np.abs(good))]
     step = lags[1] - lags[0]
     for _ in range(2):
         lags = first + np.linspace(-step, step, _FINE)
-        costs = _costs(evidence, lags, moved)
+        costs = _costs(evidence, used, lags, moved)
         first, step = lags[np.argmin(costs)], lags[1] - lags[0]
     return float(first), float(costs.min())
 
 
-def _costs(evidence: Evidence, lags: np.ndarray, moved: tuple[float, float]) -> np.ndarray:
+def _costs(evidence: Evidence, used: np.ndarray, lags: np.ndarray, moved: tuple[float, float]) -> np.ndarray:
     """The squares (N^2) of the normal forces that are not explained at each shift (L,) s."""
+    return np.sum(_unexplained(evidence, used, lags, moved) ** 2, axis=-1)
+
+
+def _unexplained(
+    evidence: Evidence, used: np.ndarray, lags: np.ndarray, moved: tuple[float, float]
+) -> np.ndarray:
+    """The parts (L, N F) N of the normal forces that are not explained at each shift (L,) s."""
     places = evidence.shifted(moved[0] * lags, moved[1] * lags)
-    soon = evidence.shifted(moved[0] * lags - _TICK, moved[1] * lags - _TICK)
+    tick = _TICK if places.fixed.all() else _LONG_TICK
+    before, after = (evidence.shifted(moved[0] * lags + t, moved[1] * lags + t).depth for t in (tick, -tick))
     assert evidence.force is not None
     shape = (len(lags), *evidence.force.shape)
     touching = (places.depth > 0).reshape(shape[:3])
     depth = np.where(touching, places.depth.reshape(shape[:3]), 0)
-    rate = (soon.depth - places.depth).reshape(shape[:3]) / _TICK
+    rate = (after - before).reshape(shape[:3]) / (2 * tick)
     normal = np.einsum("nfij,nfj->nfi", places.turn, places.normal).reshape(shape)
     along = np.sum(evidence.force * normal, axis=-1)
     # Out of contact all of a force is unexplained.
-    wanted = np.where(touching, along, np.linalg.norm(evidence.force, axis=-1)).reshape(len(lags), -1)
+    wanted = used * np.where(touching, along, np.linalg.norm(evidence.force, axis=-1))
+    wanted, depth = wanted.reshape(len(lags), -1), used * depth
     basis = np.stack([depth, depth * rate], axis=-1).reshape(len(lags), -1, 2)
     square = np.einsum("lni,lnj->lij", basis, basis)
     factors = np.einsum(
         "lij,ln,lnj->li", np.linalg.pinv(square, hermitian=True), wanted, basis, optimize=True
     )
-    return np.sum((wanted - np.einsum("lni,li->ln", basis, factors)) ** 2, axis=-1)
+    return wanted - np.einsum("lni,li->ln", basis, factors)

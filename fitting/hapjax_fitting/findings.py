@@ -5,17 +5,21 @@ stiffness and friction may be off by a factor of ten. A lie that was found is un
 one does not show up as another. Nothing is changed in what is fitted: all is only reported.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from hapjax import Finding, Recording, Scene
 
 from .clocks import clock_of
 from .evidence import Evidence, evidence_of, scaled
-from .fingers import fingers_of
-from .motion import no_slip, stuck
+from .fingers import fingers_of, unexplained
+from .motion import no_slip, stuck, unreached
+from .sensors import Sensors
 from .sharding import shared_out
 
 _TURN = 2 * np.pi
@@ -29,16 +33,22 @@ _WIDE, _NARROW = 0.5, 1e-3  # m: what is taken for too large a unit, or too smal
 
 
 def findings_of(
-    scene: Scene, recordings: Sequence[Recording], names: Sequence[str], friction: bool = True
+    scene: Scene,
+    recordings: Sequence[Recording],
+    names: Sequence[str],
+    friction: bool = True,
+    sensors: Mapping[str, Sensors] = MappingProxyType({}),
 ) -> tuple[Finding, ...]:
     """What is odd about recordings of a scene, with the evidence in a sentence each, after what loading them found.
 
     Of each recording: units of length, force and angle; force of the wrong sign; fingers swapped; clocks shifted against
     each other; no contact; no force; a stuck encoder; and, with `friction` to be found, no slip.
 
-    **Arguments:** `names`, what the recordings are called.
+    **Arguments:** `names`, what the recordings are called; `sensors`, how they were measured, by name: what is known of that
+    is undone first.
     """
-    told = shared_out(lambda recording: lies(scene, recording, friction), recordings)
+    known = [_undone(r, sensors[n]) if n in sensors else r for r, n in zip(recordings, names, strict=True)]
+    told = shared_out(lambda recording: lies(scene, recording, friction), known)
     found = []
     for recording, name, of_one in zip(recordings, names, told, strict=True):
         found += [replace(finding, recording=name) for finding in (*recording.findings, *of_one)]
@@ -55,15 +65,27 @@ def lies(scene: Scene, recording: Recording, friction: bool = True) -> list[Find
     found += units
     nothing = _no_contact(evidence)
     if nothing is not None:
-        return [*found, nothing]
+        return [*found, nothing, *unreached(evidence)]
     if evidence.force is None:
         return found
-    checks: list[Callable[[Evidence], tuple[Evidence, list[Finding]]]] = [fingers_of, clock_of]
-    for check in checks:
-        evidence, more = check(evidence)
-        found += more
-    frozen = stuck(evidence)
-    return found + frozen + (no_slip(evidence) if friction and not frozen else [])
+    evidence, dealt = fingers_of(evidence)
+    suspects = stuck(evidence)
+    evidence, late = clock_of(evidence, suspects)
+    frozen = [each.finding for each in (stuck(evidence) if late else suspects)]
+    return found + dealt + late + frozen + (no_slip(evidence) if friction and not frozen else [])
+
+
+def _undone(recording: Recording, sensors: Sensors) -> Recording:
+    """What was recorded, as perfect sensors would have."""
+    changed: dict[str, Any] = {}
+    if recording.hip is not None:
+        changed["hip"] = np.asarray(sensors.turned(jnp.asarray(recording.hip)))
+    if recording.force is not None and recording.force_t is not None:
+        changed["force"] = np.asarray(sensors.corrected(jnp.asarray(recording.force)))
+        changed["force_t"] = recording.force_t - float(sensors.force_delay or 0)
+    if recording.pose_t is not None:
+        changed["pose_t"] = recording.pose_t - float(sensors.pose_delay or 0)
+    return replace(recording, **changed)
 
 
 def _angles(recording: Recording):
@@ -89,27 +111,50 @@ def _units(evidence: Evidence) -> tuple[Evidence, list[Finding]]:
 
 
 def _length(evidence: Evidence) -> tuple[Evidence, list[Finding]] | None:
+    """The channels that are in another unit, and which: the reading that explains the forces best."""
     recording = evidence.recording
-    channels = [("hip", "pose"), ("hip",), ("pose",)] if recording.pose is not None else [("hip",)]
-    for names in channels:
-        span, best, read = _span(getattr(recording, names[0])), np.inf, None
-        for factor, (unit, rare) in _LENGTHS.items():
-            if (factor < 1 and span < _WIDE) or (factor > 1 and span > _NARROW):
-                continue  # shrunk to a point, anything is inside something
-            other = evidence_of(evidence.scene, scaled(recording, **dict.fromkeys(names, factor)))
-            if other is not None and _makes_sense(other) and _told_apart(other):
-                measured, given = _stiffness(other)
-                off = rare * max(measured / given, given / measured)
-                if off < best:
-                    best, read = off, (unit, other)
-        if read is not None:
-            unit, other = read
-            sentence = (
-                f"{' and '.join(names)} {'look' if len(names) > 1 else 'looks'} like {unit}, expected metres: it spans "
-                f"{span:.4g} m and, so read, {_agreement(other):.0%} of what is felt is felt where the scene's surfaces are"
-            )
-            return other, [Finding(names[0], "length unit", sentence)]
-    return None
+    channels: list[tuple[str, ...]] = [("hip",)]
+    if recording.pose is not None:
+        channels = [("hip", "pose"), ("hip",), ("pose",)]
+    read = [reading for names in channels if (reading := _unit_of(evidence, names)) is not None]
+    if not read:
+        return None
+    left = [_unexplained(other) for _, _, other in read]
+    names, unit, other = read[next(i for i, x in enumerate(left) if x <= 2 * min(left))]
+    first, *more = names
+    sentence = (
+        f"{' and '.join(names)} {'look' if more else 'looks'} like {unit}, expected metres: it spans "
+        f"{_span(getattr(recording, first)):.4g} m and, so read, {_agreement(other):.0%} of what is felt is felt where "
+        "the scene's surfaces are"
+    )
+    return other, [Finding(first, "length unit", sentence)]
+
+
+def _unit_of(evidence: Evidence, names: tuple[str, ...]) -> tuple[tuple[str, ...], str, Evidence] | None:
+    """The unit that channels would be in, all alike, by the stiffness that comes out; and the evidence so read."""
+    recording = evidence.recording
+    span, best, read = _span(getattr(recording, names[0])), np.inf, None
+    for factor, (unit, rare) in _LENGTHS.items():
+        if (factor < 1 and span < _WIDE) or (factor > 1 and span > _NARROW):
+            continue  # shrunk to a point, anything is inside something
+        other = evidence_of(evidence.scene, scaled(recording, **dict.fromkeys(names, factor)))
+        if other is not None and _makes_sense(other) and _told_apart(other):
+            measured, given = _stiffness(other)
+            off = rare * max(measured / given, given / measured)
+            if off < best:
+                best, read = off, (names, unit, other)
+    return read
+
+
+def _unexplained(evidence: Evidence) -> float:
+    """The part of the forces' squares that places do not explain, whatever their signs."""
+    force = evidence.force
+    if force is None:
+        return 0.0
+    left = [
+        min(unexplained(evidence, i, sign * force[:, i]) for sign in (1, -1)) for i in range(force.shape[1])
+    ]
+    return float(sum(left) / max(np.sum(force**2), 1e-300))
 
 
 def _force(evidence: Evidence) -> tuple[Evidence, list[Finding]] | None:

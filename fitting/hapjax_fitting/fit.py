@@ -163,7 +163,8 @@ def fit(
     )
     result = result if enough else of_nothing(result)
     friction = any(map(is_mu, parameters))
-    return replace(result, findings=findings_of(scene, recordings, names, friction))
+    sensors = {name: result.sensors_of(name) for name in called}
+    return replace(result, findings=findings_of(scene, recordings, names, friction, sensors))
 
 
 def _searches(

@@ -1,62 +1,126 @@
 """Whether what moves is seen to move: encoders that are stuck, fingers that never slip."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d, uniform_filter1d
 
 from hapjax import Finding
 
 from .evidence import Evidence
 
 _LONG = 0.05  # s and
-_MANY = 50  # samples: an axis that rests so long while the others move is looked at
+_MANY = 51  # samples, odd: an axis that rests so long while the others move is looked at
 _FEW = 20
+_JITTER, _MOST_JITTER = (
+    1e-5,
+    1e-4,
+)  # m: what stays within it rests; the step of a coarser encoder is allowed up to the second
+_MOVES = 20.0  # jitters: what goes that far moves
 _LEAP = 5.0  # times its quick steps: so far an axis jumps only if it was stuck
 _SAME = 1e-3  # what normals of one face differ by
+_ALWAYS = 0.9  # of a recording
+_PULL = 8.0  # times what noise leaves of a normal force: so much more friction is a pull
 _AXES = "xyz"
 
 
-def stuck(evidence: Evidence) -> list[Finding]:
+@dataclass(frozen=True)
+class Stuck:
+    """An axis that looks stuck: which moments of a finger that concerns, and what is said of it."""
+
+    finger: int
+    begin: float
+    end: float
+    finding: Finding
+
+
+def stuck(evidence: Evidence) -> list[Stuck]:
     """Axes of fingers that stay at one number while the force says that they moved."""
     recording = evidence.recording
     assert recording.hip is not None and recording.hip_t is not None
     found = []
     for finger in range(recording.hip.shape[1]):
         for axis in range(3):
-            steps = np.abs(np.diff(recording.hip[:, finger, axis]))
-            quick = np.quantile(steps[steps > 0], 0.9) if steps.any() else 0.0
-            for first, last in _rests(recording.hip[:, finger], recording.hip_t, axis):
+            path = recording.hip[:, finger, axis]
+            for first, last in _rests(path, recording.hip_t):
                 begin, end = float(recording.hip_t[first]), float(recording.hip_t[last])
-                jump = _jump(steps, quick, last)
-                said = jump or _contradicted(evidence, finger, axis, begin, end)
+                said = _jump(path, recording.hip_t, last)
+                if said is None and _moves(evidence, finger, axis, first, last):
+                    said = _contradicted(evidence, finger, axis, begin, end)
                 if said is not None:
                     sentence = (
-                        f"{_AXES[axis]} of finger {finger} stays at {recording.hip[first, finger, axis]:.6g} m from "
+                        f"{_AXES[axis]} of finger {finger} stays at {path[first]:.6g} m from "
                         f"{begin:.4g} to {end:.4g} s, {said}: its encoder looks stuck"
                     )
-                    found.append(Finding("hip", "stuck encoder", sentence, at=begin, count=last - first + 1))
+                    finding = Finding("hip", "stuck encoder", sentence, at=begin, count=last - first + 1)
+                    found.append(Stuck(finger, begin, end, finding))
     return found
 
 
-def _rests(path: np.ndarray, times: np.ndarray, axis: int):
-    """The first and last samples of each long rest of one axis of a path (T, 3) during which the others move."""
-    same = np.concatenate([[False], path[1:, axis] == path[:-1, axis], [False]])
-    others = np.delete(path, axis, axis=1)
-    moving = np.concatenate([[0], np.cumsum((others[1:] != others[:-1]).any(axis=1))])
-    starts, ends = np.flatnonzero(~same[:-1] & same[1:]), np.flatnonzero(same[:-1] & ~same[1:])
+def unreached(evidence: Evidence) -> list[Finding]:
+    """Axes that stay at one number all the time, outside of what is pressed on: stuck, or nothing was touched."""
+    recording = evidence.recording
+    assert recording.hip is not None and recording.hip_t is not None
+    found = []
+    for finger in range(recording.hip.shape[1] if evidence.force is not None else 0):
+        strongest = float(evidence.strength[:, finger].max())
+        if strongest <= 6 * evidence.noise:
+            continue
+        for axis in range(3):
+            path = recording.hip[:, finger, axis]
+            rests = [r for r in _rests(path, recording.hip_t) if r[1] - r[0] > _ALWAYS * len(path)]
+            facing = np.abs(evidence.normal[:, finger, axis]).mean() > 0.5
+            if facing and any(_moves(evidence, finger, axis, *rest) for rest in rests):
+                sentence = (
+                    f"{_AXES[axis]} of finger {finger} stays at {path[0]:.6g} m all the time, outside of all surfaces, "
+                    f"while its force reaches {strongest:.3g} N: its encoder looks stuck, if the scene is in its place"
+                )
+                found.append(Finding("hip", "stuck encoder", sentence, count=len(path)))
+    return found
+
+
+def _rests(path: np.ndarray, times: np.ndarray) -> Iterator[tuple[int, int]]:
+    """The first and last samples of each long rest of one axis' path (T,): but for jitter, or an encoder's one step."""
+    jitter = _jitter(path)
+    still = maximum_filter1d(path, _MANY) - minimum_filter1d(path, _MANY) <= jitter
+    same = np.concatenate([[False], maximum_filter1d(still, _MANY), [False]])
+    starts, ends = np.flatnonzero(~same[:-1] & same[1:]), np.flatnonzero(same[:-1] & ~same[1:]) - 1
     for first, last in zip(starts.tolist(), ends.tolist(), strict=True):
-        long = last - first >= _MANY and times[last] - times[first] >= _LONG
-        if long and moving[last] - moving[first] > 0.5 * (last - first):
+        if last - first >= _MANY and times[last] - times[first] >= _LONG:
             yield first, last
 
 
-def _jump(steps: np.ndarray, quick: float, last: int) -> str | None:
-    """How far one axis jumps as a rest ends; None where it moves on as it always does. `quick`, nine in ten of its steps
-    are no longer."""
-    if last >= len(steps) or steps[last] <= _LEAP * quick:  # the others' 99th percentile is no smaller
+def _jitter(path: np.ndarray) -> float:
+    steps = np.abs(np.diff(path))
+    least = float(steps[steps > 0].min()) if steps.any() else 0.0
+    return max(_JITTER, min(1.01 * least, _MOST_JITTER))
+
+
+def _moves(evidence: Evidence, finger: int, axis: int, first: int, last: int) -> bool:
+    """Whether the finger's other axes, or objects, move during a rest, so that it ought to as well."""
+    recording = evidence.recording
+    assert recording.hip is not None and recording.hip_t is not None
+    far = _MOVES * _jitter(recording.hip[:, finger, axis])
+    others = np.delete(recording.hip[first : last + 1, finger], axis, axis=1)
+    if np.ptp(others, axis=0).max() > far:
+        return True
+    if recording.pose is None or recording.pose_t is None:
+        return False
+    during = (recording.pose_t >= recording.hip_t[first]) & (recording.pose_t <= recording.hip_t[last])
+    place = recording.pose[during, :, :3]
+    return during.sum() >= _FEW and bool(np.ptp(uniform_filter1d(place, _FEW, axis=0), axis=0).max() > far)
+
+
+def _jump(path: np.ndarray, times: np.ndarray, last: int) -> str | None:
+    """How far one axis jumps as a rest ends; None where it moves on as it always does."""
+    steps = np.abs(np.diff(path))
+    if last >= len(steps) or steps[last] <= _MOVES * _jitter(path):
         return None
-    others = np.delete(steps, last)
+    speeds = steps / np.diff(times)
+    others = np.delete(speeds, last)
     moves = others[others > 0]
-    if len(moves) < _FEW or steps[last] <= _LEAP * np.quantile(moves, 0.99):
+    if len(moves) < _FEW or speeds[last] <= _LEAP * np.quantile(moves, 0.99):
         return None
     return f"then jumps by {1e3 * steps[last]:.3g} mm from one sample to the next"
 
@@ -70,19 +134,21 @@ def _contradicted(evidence: Evidence, finger: int, axis: int, begin: float, end:
     world, along = evidence.normal[:, finger], evidence.along[:, finger]
     felt = during & touching
     # A finger that is frozen outside what it presses on is told by its force alone.
-    outside = during & ~touching & evidence.pressed[:, finger]
+    strength = evidence.strength[:, finger]
+    outside, idle = during & ~touching & evidence.pressed[:, finger], ~during & ~touching
     if (
-        outside.sum() >= _FEW
-        and outside.sum() > 0.2 * during.sum()
+        outside.sum() >= max(_FEW, 0.2 * during.sum())
         and np.abs(world[outside, axis]).mean() > 0.5
+        and (idle.sum() < _FEW or strength[outside].max() > 5 * np.median(strength[idle]))
     ):
-        return f"while it presses with up to {evidence.strength[outside, finger].max():.3g} N on what it does not reach"
+        return f"while it presses with up to {strength[outside].max():.3g} N on what it does not reach"
     if felt.sum() < _FEW:
         return None
     if np.abs(world[felt, axis]).mean() <= 0.5:
         return _pulled(evidence, finger, axis, felt)
     # On one face: at an edge it depends on the way which face it is, and with it the depth.
-    face = np.abs(world - np.median(world[felt], axis=0)).max(axis=-1) < _SAME
+    normal = places.normal[:, finger]
+    face = np.abs(normal - np.median(normal[felt], axis=0)).max(axis=-1) < _SAME
     felt, rest = felt & face, touching & ~during & face
     if felt.sum() < _FEW:
         return None
@@ -112,11 +178,19 @@ def _pulled(evidence: Evidence, finger: int, axis: int, felt: np.ndarray) -> str
         force = evidence.force[rows, finger]
         along = np.sum(force * world, axis=-1)
         pull = median_filter(force[:, axis] - along * world[:, axis], 5)
+        usual = _PULL * _wander(along, places.depth[rows, finger])
         sign = -1.0 if pull[0] < 0 else 1.0
         grown = max(float(np.max(sign * pull - abs(pull[0]))), float(np.max(-sign * pull)))
-        if grown > max(5 * evidence.noise, 0.1 * float(np.mean(along))):
+        if grown > max(5 * evidence.noise, usual, 0.1 * float(np.mean(along))):
             return f"while friction pulls along it by {grown:.3g} N more, or the other way"
     return None
+
+
+def _wander(along: np.ndarray, depth: np.ndarray) -> float:
+    """How far a normal force strays slowly from what its depth gives, N: noise that is not white."""
+    given = np.stack([depth, np.gradient(depth), np.ones_like(depth)], axis=-1)
+    left = along - given @ np.linalg.lstsq(given, along, rcond=None)[0]
+    return float(np.sqrt(np.mean(median_filter(left, 5) ** 2)))
 
 
 def no_slip(evidence: Evidence) -> list[Finding]:

@@ -45,6 +45,7 @@ def test_bias_gain_delay_and_frame_are_found_together():
     options: dict[str, Any] = {"noise": {"force": SIGMA}, "starts": 2}
     result = fit(floor(), circling(truth), [f"sensor.{name}" for name in ALL], **options)
     assert result.converged and result.residual_rms["force"] == pytest.approx(SIGMA, rel=0.1)
+    assert not result.findings  # what was found of the sensors is no longer odd
     for name, numbers in ALL.items():
         for i, number in enumerate(np.atleast_1d(numbers)):
             p = result.parameters[f"sensor.{name}[{i}]" if np.ndim(numbers) else f"sensor.{name}"]
