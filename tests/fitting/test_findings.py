@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from fitting_cases import floor, forces, held_cube, shaken_cube, stroke
 from hapjax import Recording, Scene, cast
@@ -12,6 +13,7 @@ from hapjax_fitting.benchmark import pushed
 from hapjax_fitting.benchmark.cases import CASES
 from hapjax_fitting.evidence import scaled
 from hapjax_fitting.findings import findings_of, lies
+from hapjax_fitting.sensors import Sensors
 
 STEPS = 500
 
@@ -300,6 +302,19 @@ def test_the_size_of_a_shift_is_told(lag):
     told = float(finding.sentence.split(" is ")[1].split(" ms")[0])
     assert told == pytest.approx(1e3 * abs(lag), abs=1.0)
     assert ("late" if lag > 0 else "early") in finding.sentence
+
+
+def test_what_is_known_of_the_sensors_is_not_odd():
+    """A force sensor that is late and shows too much, and a frame that is turned: each alone is odd."""
+    bias = [0.4, 0.0, -0.8]
+    true, sensors = on_floor(), Sensors(force_delay=0.02, force_bias=bias, hip_rotation=[0.01, 0.0, 0.0])
+    turn = Rotation.from_rotvec([-0.01, 0.0, 0.0])
+    hip = turn.apply(strokes()[1].reshape(-1, 3)).reshape(STEPS, 2, 3)
+    measured = replace(late(true, 0.02), hip=hip, force=strokes()[2] + bias)
+    scene = cast(floor(), np.float64)
+    assert findings_of(scene, [measured], ["a"])
+    assert findings_of(scene, [late(true, 0.02)], ["a"])
+    assert findings_of(scene, [measured], ["a"], sensors={"a": sensors}) == ()
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.02])
