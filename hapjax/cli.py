@@ -2,6 +2,7 @@
 
 import os
 import sys
+from collections import Counter
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NoReturn
@@ -153,9 +154,9 @@ def fit(
             "loss": loss,
         }
         options |= {"progress": first, "names": [str(path) for path in recordings]}
-        options["bounds"] = {path: (low, high) for path, low, high in bounds}
+        options["bounds"] = _by_path("--bounds", bounds)
         options["each"] = each
-        options["priors"] = {path: (mean, deviation) for path, mean, deviation in prior}
+        options["priors"] = _by_path("--prior", prior)
         said: list[Any] = []  # beside the fit
         figures: dict[str, Any] = {}
         if compare:
@@ -278,6 +279,16 @@ def benchmark(
         parts.report(loaded, fingers, json)
 
 
+def _by_path(option: str, given: tuple[tuple[str, float, float], ...]) -> dict[str, tuple[float, float]]:
+    """The two numbers of each path. **Raises:** `InputError` where one is named twice."""
+    found: dict[str, tuple[float, float]] = {}
+    for path, one, other in given:
+        if path in found:
+            raise InputError(f"{option} names {path} twice; allowed: each path once")
+        found[path] = (one, other)
+    return found
+
+
 def _loaded(path: Path, topics) -> Recording:
     """A recording, cleaned; what was found is said on stderr."""
     recording = load_recording(path, topics)
@@ -321,6 +332,7 @@ def run() -> NoReturn:
 
 def _run(arguments: list[str]) -> int | None:
     _check_completion(arguments)
+    _check_once(arguments)
     with parse_errors.on_parse_error(_refuse):
         result = tyro.extras.subcommand_cli_from_dict(
             _COMMANDS,
@@ -335,6 +347,16 @@ def _run(arguments: list[str]) -> int | None:
 def _say(sentence: str, code: int) -> int:
     print(f"hapjax: {' '.join(sentence.split())}", file=sys.stderr)
     return code
+
+
+def _check_once(arguments: list[str]) -> None:
+    """Refuse an option that is given twice: of all but the last nothing would be left."""
+    options = [a.split("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
+    for option, times in Counter(options).items():
+        if times > 1:
+            raise InputError(
+                f"{option} is given {times} times; allowed: once, with all of its values after it"
+            )
 
 
 def _check_completion(arguments: list[str]) -> None:

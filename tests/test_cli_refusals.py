@@ -241,6 +241,21 @@ ARGUMENTS = [
         ["fit", "{both}", "--scene", "{scene}", "--free", "torsion.critical_area", "--json", "/dev/null"],
         ["regular file"],
     ),
+    (
+        ["fit", "{both}", "--scene", "{scene}", "--free", "object.cube.surface.mu", "--prior"]
+        + ["object.cube.surface.mu", "0.5", "0.1", "object.cube.surface.mu", "0.6", "0.1"],
+        ["--prior", "object.cube.surface.mu", "twice"],
+    ),
+    (
+        ["fit", "{both}", "--scene", "{scene}", "--free", "object.cube.surface.mu", "--bounds"]
+        + ["object.cube.surface.mu", "0", "1", "object.cube.surface.mu", "0", "2"],
+        ["--bounds", "object.cube.surface.mu", "twice"],
+    ),
+    (
+        ["fit", "{both}", "--scene", "{scene}", "--free", "object.cube.surface.mu"]
+        + ["--free=object.cube.body.mass"],
+        ["--free", "2 times", "once"],
+    ),
     (["--tyro-print-completion", "foo"], ["foo", "bash"]),
     (["demo", "--seed", "-1"], ["--seed", "-1"]),
     (["demo", "--seed", "one"], ["--seed", "one"]),
