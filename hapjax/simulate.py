@@ -106,7 +106,8 @@ def step(
     """Advance a scene by `dt` seconds with the fingers at `hip` (F, 3) m, world frame.
 
     The forces are those of the objects where they were against the fingers where they are now; then the objects move.
-    With substeps the fingers travel straight from where they were, and the reply is the last substep's.
+    With substeps the fingers travel straight from where they were, so that `hip` is where they are at the end of the
+    step, and the reply is the last substep's. Without, `LieMidpoint` reads `hip` as that of the middle of the step.
 
     **Arguments:** `dt` in s, above 0; `None`: the scene's integrator's. `gimbal` (F,) rad as for `init`.
     """
@@ -116,18 +117,21 @@ def step(
     turning = None if gimbal is None else (gimbal - state.gimbal) / dt
     state = dataclasses.replace(state, gimbal=gimbal)
     count = scene.integrator.substeps
+    drive = None if state.hip is None else (hip - state.hip) / dt
     if count == 1:
-        return _substep(scene, state, hip, turning, dt)
+        return _substep(scene, state, hip, drive, turning, dt)
     if state.hip is None:
         raise InputError(
             "the state was made for a scene without substeps; allowed: a state from init of this scene"
         )
     start, short = state.hip, dt / count
+    part = 0.5 if scene.integrator.reads_middle else 1.0  # of a substep, at which its forces are read
 
     def body(carry: State, fraction: Float[Array, ""]):
-        return _substep(scene, carry, start + fraction * (hip - start), turning, short)
+        return _substep(scene, carry, start + fraction * (hip - start), drive, turning, short)
 
-    state, replies = jax.lax.scan(body, state, jnp.arange(1, count + 1, dtype=hip.dtype) / count)
+    state, replies = jax.lax.scan(body, state, (jnp.arange(count, dtype=hip.dtype) + part) / count)
+    state = dataclasses.replace(state, hip=jnp.where(jnp.abs(hip) <= _SENSE, hip, start))
     lost, reply = jnp.any(replies.lost), jax.tree.map(lambda x: x[-1], replies)
     return state, dataclasses.replace(reply, force=jnp.where(lost, 0, reply.force), lost=lost)
 
@@ -168,6 +172,7 @@ def _substep(
     scene: Scene,
     state: State,
     hip: Float[Array, "F 3"],
+    drive: Float[Array, "F 3"] | None,
     turning: Float[Array, "F"] | None,
     dt: Float[Array, ""],
 ) -> tuple[State, Reply]:
@@ -178,7 +183,6 @@ def _substep(
     placed = {name: _placed(scene, motions, name) for name in scene.object}
     centres = {name: _centre(scene, placed[name], name) for name in motions}
     rates = {name: (motion.velocity, motion.spin) for name, motion in motions.items()}
-    drive = None if state.hip is None else (hip - state.hip) / dt
 
     # In order: an integrator that foresees takes them apart as pytrees, which would sort a dict's names.
     fingers = OrderedDict(

@@ -87,6 +87,24 @@ def test_a_body_between_two_fingers_converges_at_second_order(damping, swing):
     assert order(STEPS, errors) == pytest.approx(2, abs=0.2) and errors[-1] < 1e-5
 
 
+def test_substeps_read_the_fingers_in_the_middle_of_each():
+    """Where they are on the straight way from the place at the last step's end to that at this one's."""
+    box = hapjax.Object(
+        hapjax.Box((0.06, 0.04, 0.08)), hapjax.Surface(800.0, mu=5.0), hapjax.Body(0.2, rotation=False)
+    )
+    coarse, fine = (
+        hapjax.Scene({"it": box}, integrator=hapjax.LieMidpoint(substeps=count)) for count in (3, 1)
+    )
+    hips = np.zeros((40, 2, 3))
+    hips[:, :, 0] = 1e-3 * np.sin(0.2 * np.arange(40))[:, None] + np.array([0.028, -0.028])
+    between = hips[:-1, None] + (np.arange(3)[:, None, None] + 0.5) / 3 * (hips[1:] - hips[:-1])[:, None]
+    end = final(coarse, hapjax.init(coarse, hips[0]), jnp.asarray(hips[1:]), jnp.asarray(3e-3))
+    finer = final(fine, hapjax.init(fine, hips[0]), jnp.asarray(between.reshape(-1, 2, 3)), jnp.asarray(1e-3))
+    np.testing.assert_allclose(end.position, finer.position, atol=1e-15)
+    np.testing.assert_allclose(end.velocity, finer.velocity, atol=1e-12)
+    assert abs(end.velocity[0]) > 1e-3
+
+
 def test_without_the_gyroscopic_term_the_spin_stays():
     thing = hapjax.Object(hapjax.Box((0.1, 0.1, 0.1)), None, hapjax.Body(1.0, inertia=INERTIA))
     scene = hapjax.Scene({"it": thing}, integrator=hapjax.LieMidpoint())

@@ -22,7 +22,8 @@ class Integrator(eqx.Module):
     `substeps`, into how many a step is cut, 1 to 10,000.
 
     `needs_pivot`: `advance` is to be given a pivot. `looks_ahead`: `foresee` is to know how far points are from surfaces
-    that they do not touch. `reads_middle`: torsion is to be told the spin half a step on.
+    that they do not touch. `reads_middle`: forces are read in the middle of a step, so torsion is to be told the spin
+    half a step on, and substeps where the fingers are in the middle of each.
     """
 
     needs_pivot: ClassVar[bool] = False

@@ -22,8 +22,9 @@ class LieMidpoint(Integrator):
     """Half a step of free motion, the forces there, half a step of free motion (Strang 1968). Second order.
 
     Free rotation is the Lie midpoint rule: it goes by the spin of its own middle, and the angular momentum is the same
-    at its end as at its start. Forces are read half-way, so `hip` is where the fingers are at the middle of the step;
-    where they depend on velocity, they are read twice, the second time at the velocity of the middle.
+    at its end as at its start. Forces are read half-way, so `hip` is where the fingers are at the middle of the step; with
+    substeps it is where they are at the end, as with every integrator, and each substep reads them at its own middle.
+    Forces that depend on velocity are read twice, the second time at the velocity of the middle.
     """
 
     reads_middle = True
