@@ -76,12 +76,15 @@ def when(integrator: str) -> float:
     return 0.5 if integrator == "lie_midpoint" else 1.0
 
 
-def final_state(case: Case, integrator: str) -> tuple[Scene, Callable[[Scene, Any, Any], tuple[State, Any]]]:
+def final_state(
+    case: Case, integrator: str, substeps: int | None = None
+) -> tuple[Scene, Callable[[Scene, Any, Any], tuple[State, Any]]]:
     """A case's scene and the function (scene, dt, steps) of the last state, and whether a step was lost.
 
-    The number of steps may be traced.
+    The number of steps may be traced. With `substeps` a step is cut into so many, and fed the fingers' place at its end.
     """
-    scene, part = case.scene(METHODS[integrator]()), when(integrator)
+    scene = case.scene(METHODS[integrator](substeps=substeps or 1))
+    part = when(integrator) if substeps is None else 1.0
 
     def final(scene: Scene, dt: Any, steps: Any) -> tuple[State, Any]:
         scene = eqx.tree_at(lambda s: s.integrator.dt, scene, dt)
@@ -107,11 +110,11 @@ def final_state(case: Case, integrator: str) -> tuple[Scene, Callable[[Scene, An
 
 
 class Program:
-    """A compiled case with one integrator, for any dt."""
+    """A compiled case with one integrator, for any dt; see `final_state` for `substeps`."""
 
-    def __init__(self, case: Case, integrator: str):
+    def __init__(self, case: Case, integrator: str, substeps: int | None = None):
         self.case = case
-        self.scene, final = final_state(case, integrator)
+        self.scene, final = final_state(case, integrator, substeps)
 
         def measured(scene, dt, steps):
             state, lost = final(scene, dt, steps)
@@ -135,7 +138,9 @@ class Program:
             def at(leaf):
                 return measured(eqx.tree_at(where, scene, leaf), dt, steps)
 
-            return jax.jvp(at, (where(scene),), (jnp.ones_like(where(scene)),))[1]
+            leaf = where(scene)
+            along = jnp.broadcast_to(jnp.asarray(case.gradient.along, leaf.dtype), leaf.shape)
+            return jax.jvp(at, (leaf,), (along,))[1]
 
         self._slope = slope
         began = time.perf_counter()
@@ -180,6 +185,22 @@ def neighbours(steps: int, number: int) -> list[int]:
     return sorted({steps, *(2 * max(round(steps * (1 + part) / 2), 1) for part in spread)})
 
 
+def curve_of_substeps(
+    case: Case, integrator: str, truth: np.ndarray, sweep: Sweep
+) -> tuple[list[Point], float]:
+    """As `curve`, of a case that has `ticks`: each point is what a loop with so many substeps gets."""
+    assert case.ticks is not None
+    points, compile_s = [], 0.0
+    for steps in steps_of(case.seconds, sweep.dts):
+        if points and steps > sweep.longest(integrator):
+            break
+        program = Program(case, integrator, round(steps / case.ticks))
+        compile_s += program.compile_s
+        error = difference(program.run(case.ticks)[0], truth)
+        points.append(Point(case.seconds / steps, program.timed(case.ticks) / case.seconds, error, error))
+    return points, compile_s
+
+
 def difference(value: np.ndarray, truth: np.ndarray) -> float:
     """The norm of the difference; infinite where a run has blown up."""
     error = float(np.linalg.norm(np.asarray(value, float) - truth))
@@ -196,7 +217,9 @@ def curve(
 ) -> tuple[list[Point], float]:
     """The points of one integrator, coarsest first, up to the sweep's most steps; and s to compile."""
     program, points = Program(case, integrator), []
-    slope = None if case.gradient is None or not sweep.gradients else program.compile_gradient()
+    slope = known = None
+    if case.gradient is not None and sweep.gradients:
+        slope, known = program.compile_gradient(), case.gradient.truth()
     for steps in steps_of(case.seconds, sweep.dts):
         if points and steps > sweep.longest(integrator):
             break
@@ -204,8 +227,8 @@ def curve(
         values = [program.run(n)[0] for n in around]
         laws = [program.run(n, rigid=True)[0] for n in around] if case.rigid else values
         slopes = None
-        if slope is not None and sweep.has_gradient(integrator, steps):
-            slopes = [_off(slope(n), case) for n in around]
+        if slope is not None and known is not None and sweep.has_gradient(integrator, steps):
+            slopes = [difference(slope(n), known) / float(np.linalg.norm(known)) for n in around]
         points.append(
             Point(
                 case.seconds / steps,
@@ -216,12 +239,6 @@ def curve(
             )
         )
     return points, program.compile_s
-
-
-def _off(slope: np.ndarray, case: Case) -> float:
-    assert case.gradient is not None
-    truth = case.gradient.truth()
-    return difference(slope, truth) / float(np.linalg.norm(truth))
 
 
 def extrapolated(case: Case, sweep: Sweep) -> tuple[np.ndarray, float]:

@@ -193,7 +193,10 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: A
     theirs: dict[str, list[Point]] = {}
     for name in integrators:
         advance(f"{case.name}: {name}", 0.0)
-        points, compile_s = _sweep.curve(case, name, truth, law, sweep)
+        if case.ticks is None:
+            points, compile_s = _sweep.curve(case, name, truth, law, sweep)
+        else:
+            points, compile_s = _sweep.curve_of_substeps(case, name, truth, sweep)
         ours[name], order = points, case.order(name)
         curves[name] = {
             "compile_s": compile_s,

@@ -37,6 +37,8 @@ def sweep_at(rate: float) -> Sweep:
 def scene_case(scene: Scene, hips: np.ndarray, gimbals: np.ndarray | None, rate: float) -> Case:
     """The case of a scene whose fingers are at `hips` (T, F, 3) m, `rate` a second, straight between.
 
+    It is run as a servo loop and `hapjax simulate` run it: a step for each of `hips` from the second on.
+
     **Raises:** `InputError` for a scene in which nothing moves.
     """
     if not scene.moving():
@@ -65,6 +67,7 @@ def scene_case(scene: Scene, hips: np.ndarray, gimbals: np.ndarray | None, rate:
         known="extrapolated; places of the objects and, by their radius of gyration, their turns",
         orders={"lie_midpoint": _NONSMOOTH},
         mujoco="a scene file has no MuJoCo model",
+        ticks=steps,
     )
 
 

@@ -46,11 +46,16 @@ class Mujoco:
 
 @dataclass(frozen=True)
 class Gradient:
-    """The derivative of what is compared in one leaf of the scene: `where` it is, its `name`, and the `truth`."""
+    """The derivative of what is compared in one leaf of the scene: `where` it is, its `name`, and the `truth`.
+
+    `along`: the direction, of a leaf with several numbers. `smooth`: no slide ends and no touch begins.
+    """
 
     name: str
     where: Callable[[Scene], Any]
     truth: Callable[[], np.ndarray]
+    along: Any = 1.0
+    smooth: bool = False
 
 
 def _far(t: Any) -> Any:
@@ -75,6 +80,9 @@ class Case:
     - `gain`: by how much a step's rounding grows by the end: of a fast body, about the angle (rad) that it turns, since what
       its spin is off by goes on turning it.
     - `mujoco`: the model, or why there is none.
+    - `ticks`: of a loop whose fingers are known once a tick: into how many the time is cut. Shorter steps are then substeps
+      of a tick, and the fingers are fed as a servo loop feeds them, where they are at its end. `None`: any steps, fingers
+      fed as suits the integrator best.
     """
 
     name: str
@@ -95,15 +103,19 @@ class Case:
     gradient: Gradient | None = None
     orders: Mapping[str, Order] = field(default_factory=dict)
     gain: float = 1.0
+    ticks: int | None = None
 
     def order(self, integrator: str) -> Order:
         """The theory's order of an integrator on this case."""
         return self.orders.get(integrator, self.orders.get("*", Order(ORDERS.get(integrator, 1))))
 
     def gradient_order(self, integrator: str) -> int | None:
-        """That of the derivative: 1, as it sees where in its step a slide ends or a touch begins; none where the state has
-        none."""
-        return None if self.gradient is None or self.order(integrator).value is None else 1
+        """That of the derivative: the state's where all is smooth, else 1, as it sees where in its step a slide ends or a
+        touch begins; none where the state has none."""
+        order = self.order(integrator).value
+        if self.gradient is None or order is None:
+            return None
+        return order if self.gradient.smooth else 1
 
 
 def turned(motion: Motion) -> Any:

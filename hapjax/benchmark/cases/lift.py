@@ -11,7 +11,7 @@ from ...scene import Object, Scene, World
 from ...shape import Box
 from ...surface import Surface
 from ._case import EXACT, HOLDS, Case, G, Gradient, Mujoco
-from ._springs import Held, Place, solve
+from ._springs import Held, Place, slope, solve
 
 MASS, MU, STIFFNESS, DAMPING = 0.2, 0.6, 2000.0, 20.0
 SIZE = np.array([0.06, 0.06, 0.12])
@@ -71,10 +71,18 @@ def _hips(spots: np.ndarray, depth):
     return lambda t: jnp.asarray(_fingers(spots, depth), t.dtype)
 
 
-def _mu(scene: Scene):
+def _surface(scene: Scene) -> Surface:
     surface = scene.object["block"].surface
     assert surface is not None
-    return surface.mu
+    return surface
+
+
+def _mu(scene: Scene):
+    return _surface(scene).mu
+
+
+def _stiffness(scene: Scene):
+    return _surface(scene).stiffness
 
 
 SLIP = Case(
@@ -118,12 +126,12 @@ PRESS = np.array([4e-3, 4e-3, 8e-3])  # m: the third finger holds against the ot
 YIELDING, HEAVIER, TIME = 400.0, 1.5, 0.3  # N/m, times g from half time on, s
 
 
-def _loaded() -> np.ndarray:
+def _loaded(stiffness) -> np.ndarray:
     fingers = _fingers(THREE, PRESS)
     inertia = MASS * (np.sum(SIZE**2) - SIZE**2) / 12
     place = Place(np.zeros(3), np.eye(3), np.zeros(3), np.zeros(3))
     for load in (1.0, HEAVIER):
-        held = Held(MASS, inertia, THREE, YIELDING, lambda t: fingers, np.array([0, 0, -load * G]))
+        held = Held(MASS, inertia, THREE, stiffness, lambda t: fingers, np.array([0, 0, -load * G]))
         place = solve(held, place, TIME / 2)
     return place.position
 
@@ -158,8 +166,11 @@ LOAD_STEP = Case(
     hip=_hips(THREE, PRESS),
     change=_heavier,
     measure=lambda state: state.motion["block"].position,
-    truth=_loaded,
+    truth=lambda: _loaded(YIELDING),
     known="independent equations, SciPy's DOP853 at 1e-12",
+    gradient=Gradient(
+        "object.block.surface.stiffness", _stiffness, lambda: slope(_loaded, YIELDING), smooth=True
+    ),
     mujoco=Mujoco(
         _springs(),
         read=lambda model, data: data.qpos[:3].copy(),

@@ -9,8 +9,8 @@ from ...scene import Object, Scene, World
 from ...shape import Box
 from ...surface import Surface
 from ...torsion import GravityDrop
-from ._case import Case, G, Mujoco, Order
-from ._springs import Held, Place, solve
+from ._case import Case, G, Gradient, Mujoco, Order
+from ._springs import Held, Place, slope, solve
 
 MASS, LENGTH, WIDTH, STIFFNESS, MU, DEPTH = 0.05, 0.3, 0.02, 3000.0, 1.0, 3e-3
 GRASP = -0.14  # m, from the rod's middle along it
@@ -41,10 +41,16 @@ def _hand(t, cos):
     return REACH * (1 - cos(BEAT * t))
 
 
-def _swung() -> np.ndarray:
+def _mass(scene: Scene):
+    body = scene.object["rod"].body
+    assert body is not None
+    return body.mass
+
+
+def _swung(mass) -> np.ndarray:
     held = Held(
-        MASS,
-        INERTIA,
+        mass,
+        mass / MASS * INERTIA,
         _ANCHORS,
         STIFFNESS,
         lambda t: _HOLD + np.array([_hand(t, np.cos), 0, 0]),
@@ -76,8 +82,9 @@ ROD = Case(
     scene=_rod,
     hip=_hips,
     measure=_place,
-    truth=_swung,
+    truth=lambda: _swung(MASS),
     known="independent equations, SciPy's DOP853 at 1e-12",
+    gradient=Gradient("object.rod.body.mass", _mass, lambda: slope(_swung, MASS), smooth=True),
     mujoco=Mujoco(
         f"""<mujoco><option gravity="0 0 {-G}"/><worldbody><body mocap="true">{_SITES}</body><body><freejoint/>
         <inertial pos="0 0 0" mass="{MASS}" diaginertia="{INERTIA[0]} {INERTIA[1]} {INERTIA[2]}"/>{_POINTS}</body>
@@ -93,9 +100,9 @@ SHARE, LOSS, TIME = 0.5, 2e-4, 0.6  # of the torque about the grip's line; N m s
 CRITICAL = np.pi * (MU * DEPTH) ** 2 / (1 - SHARE)  # m^2
 
 
-def _dropped() -> np.ndarray:
+def _dropped(loss) -> np.ndarray:
     held = Held(
-        MASS, INERTIA, _ANCHORS, STIFFNESS, lambda t: _HOLD, _DOWN, np.array([0.0, 1.0, 0.0]), SHARE, LOSS
+        MASS, INERTIA, _ANCHORS, STIFFNESS, lambda t: _HOLD, _DOWN, np.array([0.0, 1.0, 0.0]), SHARE, loss
     )
     return solve(held, _FREE, TIME).position
 
@@ -111,6 +118,11 @@ def pendulum(share: float = SHARE) -> np.ndarray:
     return np.array([GRASP + reach * np.cos(angle), 0, -reach * np.sin(angle)])
 
 
+def _twist_damping(scene: Scene):
+    assert isinstance(scene.torsion, GravityDrop)
+    return scene.torsion.twist_damping
+
+
 PENDULUM = Case(
     name="pendulum",
     title="gravity drop: a rod in a soft grip at half of A_crit",
@@ -119,9 +131,15 @@ PENDULUM = Case(
     scene=lambda integrator: _rod(integrator, GravityDrop(CRITICAL, twist_damping=LOSS)),
     hip=lambda t: jnp.asarray(_HOLD, t.dtype),
     measure=_place,
-    truth=_dropped,
+    truth=lambda: _dropped(LOSS),
     law=pendulum,
     known="independent equations, SciPy's DOP853 at 1e-12; law: a pendulum about stiff fingers",
+    gradient=Gradient(
+        "torsion.twist_damping",
+        _twist_damping,
+        lambda: slope(_dropped, LOSS),
+        smooth=True,
+    ),
     mujoco="it has no contact area that takes a share of the torque",
     orders={
         "implicit": Order(

@@ -11,8 +11,8 @@ from ...body import Body
 from ...scene import Object, Scene, World
 from ...shape import Box
 from ...surface import Surface
-from ._case import Case, G, Mujoco, turned, turned_mujoco
-from ._springs import Held, Place, solve
+from ._case import Case, G, Gradient, Mujoco, turned, turned_mujoco
+from ._springs import Held, Place, slope, solve
 
 INERTIA, SPIN, SECONDS = np.array([1e-4, 2e-4, 3e-4]), np.array([0.5, 6.0, 0.3]), 2.0
 
@@ -51,6 +51,31 @@ def free_truth(inertia=INERTIA, spin=SPIN, seconds: float = SECONDS) -> np.ndarr
     return (tilt(0).inv() * Rotation.from_euler("Z", angle) * tilt(seconds)).as_matrix()
 
 
+def _free_per_inertia() -> np.ndarray:
+    """The derivative in the least moment of inertia."""
+
+    def turned_by(least):
+        free = Held(
+            1.0,
+            np.array([least, *INERTIA[1:]]),
+            np.zeros((1, 3)),
+            0.0,
+            lambda t: np.zeros((1, 3)),
+            np.zeros(3),
+        )
+        return solve(
+            free, Place(np.zeros(3), np.eye(3), np.zeros(3), SPIN), SECONDS
+        ).matrix.ravel() / np.sqrt(2)
+
+    return slope(turned_by, INERTIA[0])
+
+
+def _body(scene: Scene) -> Body:
+    body = scene.object["top"].body
+    assert body is not None
+    return body
+
+
 def _spun(name, spin):
     return lambda state: eqx.tree_at(
         lambda s: s.motion[name].spin, state, jnp.asarray(spin, state.motion[name].velocity.dtype)
@@ -72,6 +97,13 @@ TOP = Case(
     truth=lambda: turned_mujoco(free_truth()),
     known="closed form, Jacobi's elliptic functions",
     gain=float(np.linalg.norm(SPIN) * SECONDS),
+    gradient=Gradient(
+        "object.top.body.inertia[0]",
+        lambda scene: _body(scene).inertia,
+        _free_per_inertia,
+        along=(1, 0, 0),
+        smooth=True,
+    ),
     mujoco=Mujoco(
         """<mujoco><option gravity="0 0 0"/><worldbody><body><freejoint/>
         <inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 2e-4 3e-4"/></body></worldbody></mujoco>""",
@@ -88,10 +120,10 @@ _DEPTH = MASS * G / STIFFNESS
 _FINGER = TILT.apply([0, 0, -HALF + _DEPTH])
 
 
-def heavy_truth() -> np.ndarray:
+def _heavy(mass) -> np.ndarray:
     """The heavy top's matrix at the end."""
     held = Held(
-        MASS,
+        mass,
         HEAVY,
         np.array([[0, 0, -HALF]]),
         STIFFNESS,
@@ -99,7 +131,7 @@ def heavy_truth() -> np.ndarray:
         np.array([0, 0, -G]),
     )
     start = Place(np.zeros(3), TILT.as_matrix(), np.zeros(3), TILT.apply([0, 0, FAST]))
-    return turned_mujoco(solve(held, start, SPUN).matrix)
+    return solve(held, start, SPUN).matrix.ravel() / np.sqrt(2)
 
 
 def _heavy_start(model, data) -> None:
@@ -127,9 +159,12 @@ HEAVY_TOP = Case(
     start=_spun("top", TILT.apply([0, 0, FAST])),
     hip=lambda t: jnp.asarray(_FINGER, t.dtype)[None],
     measure=lambda state: turned(state.motion["top"]),
-    truth=heavy_truth,
+    truth=lambda: _heavy(MASS),
     known="independent equations, SciPy's DOP853 at 1e-12",
     gain=FAST * SPUN,
+    gradient=Gradient(
+        "object.top.body.mass", lambda scene: _body(scene).mass, lambda: slope(_heavy, MASS), smooth=True
+    ),
     mujoco=Mujoco(
         f"""<mujoco><option gravity="0 0 {-G}"/><worldbody>
         <site name="finger" pos="{_FINGER[0]} {_FINGER[1]} {_FINGER[2]}"/>
