@@ -91,6 +91,14 @@ def pause(a):
     a["hip_t"][500:] += 60.0
 
 
+def far_ahead(a):
+    a["hip_t"][-1] += 1000.0
+
+
+def far_behind(a):
+    a["pose_t"][0] -= 1e5
+
+
 def milliseconds(a):
     for name in ("hip_t", "force_t", "pose_t"):
         a[name] = 1e3 * a[name]
@@ -109,6 +117,8 @@ FAULTS = {
     "spike": (spike, ("hip", "outlier", 0.400, 1), 1),
     "dropout": (gap, ("hip", "dropout", 0.599, 1), 0),
     "pause": (pause, ("hip", "time jump", 0.499, 1), 0),
+    "last far ahead": (far_ahead, ("hip", "time jump", 1000.999, 1), 1),
+    "first far behind": (far_behind, ("pose", "time jump", -1e5, 1), 1),
     "milliseconds": (milliseconds, ("hip", "time unit", None, 1), 0),
 }
 
@@ -150,6 +160,18 @@ def test_a_clock_that_goes_back_for_long_is_refused(tmp_path):
     arrays["hip_t"][500:] -= 0.3
     with pytest.raises(InputError, match=r"a\.npz, hip, row \d+: .*299 of 1000 samples"):
         loaded(tmp_path, arrays)
+
+
+def test_a_clock_that_jumps_far_ahead_in_the_middle_is_refused(tmp_path):
+    """By loading, and by what would have to go through the pause where it was not cleaned."""
+    arrays = clean()
+    arrays["hip_t"][500:] += 1e4
+    with pytest.raises(InputError, match=r"a\.npz, hip, row 499: .*jumps ahead by 1e\+04 s"):
+        loaded(tmp_path, arrays)
+    with pytest.raises(
+        InputError, match=r"hip, row 499 at 0\.499 s: .* 1 s of samples and a jump ahead by 1e"
+    ):
+        Recording.load(tmp_path / "a.npz").hip_every(1e-3)
 
 
 def test_a_refusal_names_the_row_in_the_file(tmp_path):

@@ -124,6 +124,8 @@ def observation_of(scene: Scene, recording: Recording, channels: tuple[str, ...]
     if len(recording.hip_t) < 2:
         raise InputError(f"{name}: hip has {len(recording.hip_t)} sample; allowed: at least 2")
     _check_size(recording, name)
+    with within(f"{name}: "):
+        recording.check_pauses()
     dtype, dt = scene.integrator.dt.dtype, float(scene.integrator.dt)
     start, hips = _on_grid(recording.hip_t, recording.hip, dt, name)
     force = pose = None

@@ -34,6 +34,21 @@ UNIT_TOLERANCE = 1e-3
 ROUNDING = 8 * np.finfo(np.float64).eps
 
 
+_PAUSE, _PAUSES = 60.0, 10.0  # s and times what was recorded: no clock that jumps farther ahead is believed
+
+
+def longest_pause(times: np.ndarray) -> float:
+    """How long the gaps between the samples of a channel may be, s."""
+    return _PAUSE + _PAUSES * recorded_time(times)
+
+
+def recorded_time(times: np.ndarray) -> float:
+    """How long the samples (T,) of a channel, T above 1, last at their usual interval, s."""
+    with np.errstate(over="ignore"):
+        gaps = np.sort(np.diff(times))
+    return len(times) * float(gaps[(len(gaps) - 1) // 2])
+
+
 class Refusal(InputError):
     """A channel is refused, by name and row; who read it from a file adds the file and the line."""
 

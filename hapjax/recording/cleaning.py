@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from .channels import CHANNELS
+from .channels import CHANNELS, longest_pause
 from .content import Content
 from .finding import Finding
 
@@ -26,7 +26,7 @@ _SLOW = 0.2  # s: no recorder samples fingertips this seldom
 def cleaned(path: Path, content: Content) -> Content:
     """What a file holds, cleaned, with a finding for each thing that was noticed.
 
-    **Raises:** `hapjax.InputError` where the times go back so often that the clock is in doubt.
+    **Raises:** `hapjax.InputError` where the times go back so often, or jump so far ahead, that the clock is in doubt.
     """
     arrays, kept, findings = dict(content.arrays), {}, list(content.findings)
     for channel in CHANNELS:
@@ -46,6 +46,15 @@ def cleaned(path: Path, content: Content) -> Content:
                     f"{path}, {channel}, {content.place(channel, lost)}: expected times that increase; {problem}"
                 )
             rows = rows[keep]
+        keep, found = _together(channel, times[rows])
+        if len(rows) - len(keep) > _MOST_LATE * len(rows):
+            gaps = np.diff(times[rows])
+            last = int(np.argmax(gaps))
+            problem = (
+                f"expected a clock that goes on, found that it jumps ahead by {gaps[last]:.4g} s after it"
+            )
+            raise InputError(f"{path}, {channel}, {content.place(channel, int(rows[last]))}: {problem}")
+        rows, findings = rows[keep], findings + found
         findings += _gaps(channel, times[rows])
         arrays[channel], arrays[f"{channel}_t"], kept[channel] = values[rows], times[rows], rows
 
@@ -94,6 +103,24 @@ def _clock(channel: str, values: np.ndarray, times: np.ndarray) -> tuple[np.ndar
     )
     back = "have times that do not follow those before"
     return keep, findings + _dropped(channel, "time goes back", back, times, late)
+
+
+def _together(channel: str, times: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
+    """The most samples between which the clock never jumps ahead far beyond what was recorded."""
+    everything = np.arange(len(times))
+    if len(times) < _FEW:
+        return everything, []
+    with np.errstate(over="ignore"):
+        far = np.flatnonzero(np.diff(times) > longest_pause(times))
+    if not len(far):
+        return everything, []
+    ends = np.concatenate([[0], far + 1, [len(times)]])
+    longest = int(np.argmax(np.diff(ends)))
+    keep = everything[ends[longest] : ends[longest + 1]]
+    lost = np.ones(len(times), bool)
+    lost[keep] = False
+    what = f"are more than {longest_pause(times):.4g} s from all others, far longer than was recorded"
+    return keep, _dropped(channel, "time jump", what, times, lost)
 
 
 def _longest_increase(times: np.ndarray) -> np.ndarray:

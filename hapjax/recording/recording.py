@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import InputError
 from ..files import check_writable
 from . import csv_file, mcap_file, npz_file, parquet_file
-from .channels import ARRAYS, CHANNELS, Refusal, checked
+from .channels import ARRAYS, CHANNELS, Refusal, checked, longest_pause, recorded_time
 from .cleaning import cleaned
 from .content import Content
 from .finding import Finding
@@ -72,17 +72,36 @@ class Recording:
         """How many fingers were recorded; 0 where only objects were."""
         return next((x.shape[1] for x in (self.hip, self.force, self.gimbal) if x is not None), 0)
 
+    def check_pauses(self) -> None:
+        """Refuse a path whose pauses, which a model would have to go through, are far longer than what was recorded.
+
+        **Raises:** `hapjax.InputError` if they are over 60 s and 10 times the samples at their usual interval.
+        """
+        if self.hip_t is None or len(self.hip_t) < 2:
+            return
+        with np.errstate(over="ignore"):
+            gaps, span = np.diff(self.hip_t), self.hip_t[-1] - self.hip_t[0]
+        recorded = recorded_time(self.hip_t)
+        if span - recorded > longest_pause(self.hip_t):
+            after = int(np.argmax(gaps))
+            problem = f"found {recorded:.4g} s of samples and a jump ahead by {gaps[after]:.4g} s after it"
+            raise InputError(
+                f"hip, row {after} at {self.hip_t[after]:.6g} s: expected a clock that goes on, {problem}"
+            )
+
     def hip_every(self, dt: float) -> np.ndarray:
         """The fingers' path (N, F, 3) m at intervals of `dt` s, from the first sample on, for a model to follow.
 
         As recorded where the clock ticks at `dt` (to a thousandth of it), else linearly interpolated.
 
-        **Raises:** `hapjax.InputError` if `hip` was not recorded, has one sample, or would have over 10 million.
+        **Raises:** `hapjax.InputError` if `hip` was not recorded, has one sample, would have over 10 million, or is
+            refused by `check_pauses`.
         """
         if self.hip is None or self.hip_t is None:
             raise InputError("hip was not recorded; expected the fingers' positions")
         if len(self.hip_t) < 2:
             raise InputError("hip has one sample; expected at least two")
+        self.check_pauses()
         with np.errstate(over="ignore"):
             gaps, span = np.diff(self.hip_t), self.hip_t[-1] - self.hip_t[0]
         if np.allclose(gaps, dt, rtol=0, atol=1e-3 * dt):

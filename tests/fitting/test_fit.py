@@ -23,7 +23,7 @@ from fitting_cases import (
     recorded,
     stroke,
 )
-from hapjax import InputError, Recording
+from hapjax import InputError, Recording, load_recording
 from hapjax_fitting import fit
 from hapjax_fitting.noise import noise_of
 from hapjax_fitting.parameters import free_parameters
@@ -410,3 +410,18 @@ def test_more_free_numbers_than_measured_ones_are_refused():
     recording = Recording(hip=path, hip_t=t, force=np.zeros((2, 1, 3)), force_t=t[:2])
     with pytest.raises(InputError, match="free has 6 numbers, and the recordings 6 to fit them to"):
         fit(box, recording, "object.box.surface.mu")
+
+
+def test_one_wild_time_does_not_make_a_fit_long(tmp_path):
+    """A CSV file with one time of 1000 s too many, or of which nothing was cleaned."""
+    true = recorded(floor())
+    true.save(tmp_path / "a.csv")
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    wild = ",".join(["1000.4", *lines[-1].split(",")[1:]])
+    (tmp_path / "a.csv").write_text("\n".join([*lines, wild]) + "\n")
+    cleaned = load_recording(tmp_path / "a.csv")
+    result = fitted(cleaned)
+    assert result.parameters[MU].estimate == pytest.approx(TRUTH[MU], rel=0.02)
+    assert {finding.kind for finding in result.findings} == {"time jump"}
+    with pytest.raises(InputError, match=r"recording 1: hip, row 399 at 0\.399 s: .*jump ahead by 1000 s"):
+        fitted(Recording.load(tmp_path / "a.csv"))
