@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hapjax
+from hapjax.benchmark import stability_press, stability_scene
 from hapjax.integrate import METHODS
 
 FACTORS = np.array([1.0, 0.5])
@@ -70,6 +71,18 @@ def test_derivatives_of_what_slides_agree():
     expected = -np.diag(np.full(2, 0.5 * 800 * 2e-3))
     for jacobian in (jax.jacfwd, jax.jacrev):
         np.testing.assert_allclose(jax.jit(jacobian(dragged))(surface.finger_mu), expected, atol=1e-12)
+
+
+def test_the_benchmark_of_stability_presses_as_the_finger_with_the_smallest_mu():
+    def places(**law):
+        box = hapjax.Object(hapjax.Box((0.06,) * 3), hapjax.Surface(8000.0, **law), hapjax.Body(2.0))
+        scene = stability_scene.felt_alike(hapjax.Scene({"it": box}, world=hapjax.World((0, 0, -9.81))))
+        return stability_press.fingers(scene)[1]
+
+    expected = places(mu=0.4)
+    np.testing.assert_allclose(places(mu=0.8, finger_mu=FACTORS), expected)
+    np.testing.assert_allclose(places(mu_static=0.6, mu_kinetic=0.4), expected)
+    assert np.all(np.abs(places(mu=0.8) - expected).max(axis=1) > 5e-4)
 
 
 def test_refusals():

@@ -107,6 +107,7 @@ def operator(scene: Scene, fingers: int, rate: float) -> np.ndarray:
     t = np.arange(2 * int(SECONDS * rate / 2) + 1) / rate
     weight = float(body.mass) * 9.81
     mu = float(np.min(np.asarray(surface.mu if surface.mu_static is None else surface.mu_static)))
+    mu *= 1.0 if surface.finger_mu is None else float(np.min(np.asarray(surface.finger_mu)))
     sides = [-1.0 if i % 2 == 0 else 1.0 for i in range(fingers)]
     paths = []
     for i, side in enumerate(sides):

@@ -42,6 +42,7 @@ def measure(
     """
     figures: dict[str, Any] = {"maps": {}, "cells": [], "loop": [], "choices": [], "walls": []}
     if scene is not None:
+        scene = own.felt_alike(scene)
         figures["walls"] = own.walls(scene, rate)
         if scene.moving():
             one = own.scaled_map(

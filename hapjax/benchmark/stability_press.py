@@ -59,7 +59,7 @@ def fingers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         surface, body = thing.surface, thing.body
         assert surface is not None and body is not None
         gravity = 0.0 if scene.world.gravity is None else float(jnp.linalg.norm(scene.world.gravity))
-        mu = float(np.min(np.asarray(surface.mu)))
+        mu = float(np.min(np.asarray(surface.mu if surface.mu_kinetic is None else surface.mu_kinetic)))
         force = max(FORCE, HOLD * float(body.mass) * gravity / max(mu, 0.1))
         spots, inward = _opposite(scene, name)
         width = float(np.linalg.norm(spots[1] - spots[0]))

@@ -71,6 +71,18 @@ def scaled_map(scene: Scene) -> Map:
     )
 
 
+def felt_alike(scene: Scene) -> Scene:
+    """The scene as the finger with the smallest mu feels it: the maps and presses have fingers of their own."""
+    objects = OrderedDict(scene.object)
+    for name in scene.touchable():
+        surface = objects[name].surface
+        assert surface is not None
+        if surface.finger_mu is not None:
+            surface = surface.of_finger(jnp.min(surface.finger_mu))
+            objects[name] = dataclasses.replace(objects[name], surface=surface)
+    return dataclasses.replace(scene, object=objects)
+
+
 def recommend(
     scene: Scene,
     one: Map,
