@@ -1,5 +1,6 @@
 """The command `hapjax`: arguments, exit codes, and the shortest way from each command to the library."""
 
+import inspect
 import os
 import sys
 from collections import Counter
@@ -255,10 +256,14 @@ def benchmark(
         out: Of stability and error: folder for the page, the pictures and the CSV files. Of fit: for all estimates as CSV.
         json: File for the figures.
     """
-    from .benchmark import batch, gradient, latency, stability
+    options = locals()
+    from .benchmark import _options, batch, gradient, latency, stability
     from .benchmark import error as errors
     from .benchmark import scene as parts
 
+    defaults = {name: each.default for name, each in inspect.signature(benchmark).parameters.items()}
+    given = {name: value for name, value in options.items() if value != defaults[name]}
+    _options.check_options(kind, scene is not None, given)
     if json is not None:
         check_writable(json)
     with jax.enable_x64(kind == "error" or jax.config.read("jax_enable_x64")):

@@ -3,6 +3,7 @@
 import os
 import secrets
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -64,9 +65,22 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
 
 
 def check_makeable(folder: str | os.PathLike[str]) -> None:
-    """Refuse what is no folder and cannot become one. **Raises:** `hapjax.InputError`."""
-    place = Path(folder).absolute()
-    while not place.exists() and place != place.parent:
-        place = place.parent
-    if not place.is_dir():
-        raise InputError(f"{folder}: cannot be made a folder: {place} is a file")
+    """Refuse what is no folder and cannot become one, or takes no files. **Raises:** `hapjax.InputError`.
+
+    It is tried, for no question to the system tells all; nothing is left of that.
+    """
+    place, made = Path(folder).absolute(), []
+    missing = [part for part in (place, *place.parents) if not part.exists()]
+    try:
+        for part in reversed(missing):
+            part.mkdir()
+            made.append(part)
+        with tempfile.TemporaryFile(dir=place):
+            pass
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"{folder}: cannot be made a folder with files: {reason}") from error
+    finally:
+        for part in reversed(made):
+            with suppress(OSError):
+                part.rmdir()

@@ -85,6 +85,8 @@ def test_a_held_cube_does_not_creep_and_batches_run():
         (["batch", "--scene", "{scene}"], "scene is given"),
         (["gradient", "--fingers", "2"], "fingers is 2 without a scene"),
         (["gradient", "--fingers", "0"], "1 to 100"),
+        (["gradient", "--out", "x", "--cases", "top"], "cases is top with gradient; allowed: with error"),
+        (["batch", "--out", "x"], "out is x with batch; allowed: with stability or error or fit"),
         (["gradient", "--scene", "{scene}"], "no object with a body has a surface"),
     ],
 )

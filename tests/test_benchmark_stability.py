@@ -160,14 +160,19 @@ def test_scenes_that_cannot_come_to_rest_are_refused(change, said):
     [
         (["--maps", "stifness"], "maps has 'stifness'"),
         (["--integrators", "euler"], "integrators has 'euler'"),
-        (["--rate", "1"], "rate is 1 Hz"),
-        (["--fingers", "0"], "fingers is 0"),
+        (["--scene", "{scene}", "--rate", "1"], "rate is 1 Hz"),
+        (["--scene", "{scene}", "--fingers", "0"], "fingers is 0"),
         (["--out", "{file}"], "cannot be made a folder"),
+        (["--out", "/proc/x"], "cannot be made a folder"),
+        (["--fingers", "2"], "fingers is 2 without a scene; allowed: with --scene"),
+        (["--scene", "{scene}", "--maps", "spin"], "maps is spin with a scene; allowed: without --scene"),
+        (["--error", "-5"], "error is -5.0 with stability; allowed: with error"),
     ],
 )
 def test_bad_input_is_refused_in_a_sentence(arguments, said, tmp_path, capsys):
     (tmp_path / "file").write_text("")
-    arguments = [a.format(file=tmp_path / "file") for a in arguments]
+    (tmp_path / "plate.toml").write_text(PLATE)
+    arguments = [a.format(file=tmp_path / "file", scene=tmp_path / "plate.toml") for a in arguments]
     assert main(["benchmark", "stability", *arguments]) == 2
     assert said in capsys.readouterr().err
 

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from ..errors import InputError
 from ..extras import need
-from ..files import replacing
+from ..files import check_makeable, replacing
 from ..integrate import METHODS
 from ..scene import Scene, cast
 from . import _grip, _mujoco, _sweep
@@ -72,10 +72,10 @@ def report(
     """
     from . import _error_page as page
 
-    _check(scene, hip, fingers, cases, integrators, error, rate)
+    _check(fingers, cases, integrators, error, rate)
     if out is not None:
         need("matplotlib", "bench")
-        make_folder(out)
+        check_makeable(out)
     methods = [name for name in METHODS if name in (integrators or METHODS)]
     with jax.enable_x64(True):
         if scene is None:
@@ -109,6 +109,7 @@ def report(
             json.dump(figures, stream, indent=2)
             stream.write("\n")
     if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
         write_points(figures, out / "error.csv")
         console.print(f"report: {page.write(figures, out)}", markup=False)
 
@@ -122,29 +123,15 @@ def implicit_cost() -> dict[str, float]:
     return dict(zip(("semi_implicit", "implicit"), step_us(loops), strict=True))
 
 
-def _check(scene, hip, fingers: int, cases, integrators, error: float, rate: float) -> None:
+def _check(fingers: int, cases, integrators, error: float, rate: float) -> None:
     check_names("cases", cases or list(CASES), list(CASES))
     check_names("integrators", integrators or list(METHODS), list(METHODS))
-    if scene is None and hip is not None:
-        raise InputError(f"hip is {hip} without a scene; allowed: with --scene")
-    if scene is not None and cases:
-        raise InputError(f"cases is {' '.join(cases)} with a scene; allowed: without --scene")
     if not 1 <= fingers <= 100:
         raise InputError(f"fingers is {fingers}; allowed: 1 to 100")
     if not 0 < error < np.inf:
-        raise InputError(f"error is {error:g} m; allowed: above 0")
+        raise InputError(f"error is {error:g} m; allowed: above 0 and finite")
     if not 10 <= rate <= 1e5:
         raise InputError(f"rate is {rate:g} Hz; allowed: 10 to 100000")
-
-
-def make_folder(out: Path) -> None:
-    """**Raises:** `InputError` where there can be no such folder."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{out}: cannot be made ({error.strerror}); allowed: a folder for the results"
-        ) from None
 
 
 def _finite(value: Any) -> Any:
