@@ -62,6 +62,18 @@ def test_the_model_by_hand_is_the_same():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("case", "draws"), [("critical area", 8), ("mass, centre, inertia", 4)])
+def test_errors_are_about_the_least_possible_and_intervals_hold_the_truth(case, draws):
+    """All numbers of a case together, within 3 standard deviations of what chance makes of so few."""
+    row, _ = efficiency.measure(case, draws)
+    count = draws * len(row["parameters"])
+    assert [p["identified"] for p in row["parameters"]] == [draws] * len(row["parameters"])
+    ratio = np.sqrt(np.mean([p["ratio"] ** 2 for p in row["parameters"]]))
+    assert abs(ratio - 1) < 0.12 + 3 / np.sqrt(2 * count)
+    assert np.mean([p["cover"] for p in row["parameters"]]) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / count)
+
+
+@pytest.mark.slow
 def test_from_where_all_starts_go_astray_the_best_is_found():
     """Of recording 4 both numbers start 10 times too high; there a descent gets nowhere in 100 steps."""
     assert starts.from_afar("mu, stiffness", 2, seed=3)["at_best"] == 2
