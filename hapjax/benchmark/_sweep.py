@@ -217,9 +217,10 @@ def curve(
 ) -> tuple[list[Point], float]:
     """The points of one integrator, coarsest first, up to the sweep's most steps; and s to compile."""
     program, points = Program(case, integrator), []
-    slope = known = None
+    slope, known, size = None, None, 1.0
     if case.gradient is not None and sweep.gradients:
         slope, known = program.compile_gradient(), case.gradient.truth()
+        size = float(np.linalg.norm(known))
     for steps in steps_of(case.seconds, sweep.dts):
         if points and steps > sweep.longest(integrator):
             break
@@ -228,7 +229,7 @@ def curve(
         laws = [program.run(n, rigid=True)[0] for n in around] if case.rigid else values
         slopes = None
         if slope is not None and known is not None and sweep.has_gradient(integrator, steps):
-            slopes = [difference(slope(n), known) / float(np.linalg.norm(known)) for n in around]
+            slopes = [difference(slope(n) / size, known / size) for n in around]
         points.append(
             Point(
                 case.seconds / steps,
