@@ -40,10 +40,11 @@ _SAME = 1e-3  # a difference of a loss that is none
 @dataclass(frozen=True)
 class Posterior:
     """How likely each value of a number is, with a flat prior: constant in cells between `edges` (n + 1), each of a
-    `weight` (n,), which sum to 1."""
+    `weight` (n,), which sum to 1. `cut`: its range ends at the lowest edge, and it may as well be there."""
 
     edges: Float[np.ndarray, " m"]
     weight: Float[np.ndarray, " n"]
+    cut: bool = False
 
     def mean(self) -> float:
         """The value with the least mean square error."""
@@ -55,9 +56,10 @@ class Posterior:
         return float(np.sqrt(np.sum(self.weight * ((middle - self.mean()) ** 2 + width**2 / 12))))
 
     def central(self, share: float) -> tuple[float, float]:
-        """The interval that leaves half of the rest of the probability on either side."""
+        """The interval that leaves half of the rest of the probability on either side; all of it above, where it is cut."""
         below = np.concatenate([[0.0], np.cumsum(self.weight)])
-        low, high = np.interp([(1 - share) / 2, (1 + share) / 2], below, self.edges)
+        shares = (0.0, share) if self.cut else ((1 - share) / 2, (1 + share) / 2)
+        low, high = np.interp(shares, below, self.edges)
         return float(low), float(high)
 
 
@@ -170,7 +172,9 @@ def posterior(
         edges, weight, first, last = weighed(float(edges[first]), float(edges[last]), 1.0)
     if 2 * (last - first) < _CELLS:
         edges, weight, _, _ = weighed(float(edges[first]), float(edges[last]), _BEYOND)
-    return Posterior(edges, weight / weight.sum())
+    smooth = np.convolve(weight, np.ones(_MARGIN), "valid")
+    may_be_least = edges[0] <= least and smooth[0] > np.exp(-_CHI95 / 2) * smooth.max()
+    return Posterior(edges, weight / weight.sum(), bool(may_be_least) and _leaf(problem, i) == "mu_static")
 
 
 def _draws(free: Float[Array, " p"], i: int, covariance: Float[np.ndarray, "p p"], count: int):

@@ -19,13 +19,15 @@ from .breakaway import broken_away, is_unseen
 from .dropping import lost_at, lost_of, of_nothing, without
 from .estimates import breakaway, estimate, not_identified
 from .findings import findings_of
-from .grip import cost_of_grip, holding_instead, is_mu, slipping_instead
+from .grip import cost_of_grip, holding_instead, is_mu, slipping_instead, value_near
 from .identifiability import identifiability
 from .interrupt import stopping_at_interrupts
 from .noise import lost as is_lost
 from .noise import noise_of, spread_of
 from .observation import CHANNELS, observation_of
 from .parameters import Selector, free_parameters, paths_of, reported, scatter
+from .plateau import elsewhere, ends_of, without_influence
+from .possible import possible
 from .priors import priors_of
 from .problem import (
     NOTICEABLE,
@@ -163,8 +165,8 @@ def fit(
     )
     result = result if enough else of_nothing(result)
     friction = any(map(is_mu, parameters))
-    sensors = {name: result.sensors_of(name) for name in called}
-    return replace(result, findings=findings_of(scene, recordings, names, friction, sensors))
+    measured_by = {name: result.sensors_of(name) for name in called}
+    return replace(result, findings=findings_of(scene, recordings, names, friction, measured_by))
 
 
 def _searches(
@@ -260,6 +262,7 @@ def _better(problem: Problem, ends: Solutions) -> Array | None:
         return holding
     flat = cost <= NOTICEABLE * variance
     found = slipping_instead(free, problem, flat, variance) if flat.any() else None
+    found = elsewhere(ends, problem, variance) if found is None else found
     return broken_away(ends, problem, variance) if found is None else found
 
 
@@ -275,7 +278,6 @@ def _result(
 ) -> FitResult:
     best = ends.best
     free = ends.free[best]
-    setup = problem.setup_at(free)
     residuals, matrix = residuals_at(free, problem), np.asarray(ends.jacobian)
     channels = channels_of(residuals, problem)
     size, variance, typical = _spread(problem, residuals, given_noise)
@@ -293,15 +295,25 @@ def _result(
         known = known.widened(factors, widest)
     spread = known.covariance if back is None else back @ known.covariance @ back.T
     explained = max(size.values()) < _EXPLAINED  # in units of the noise
+    flat = without_influence(matrix, problem) if problem.reported == problem.parameters else []
+    limits = {i: ends_of(free, problem, i, chance) for i in flat}
     jumping = [is_unseen(problem, i) and cost[i] > chance for i in range(len(free))]
     estimates = {
         p.name: breakaway(problem, free, i, typical, spread)
         if jumping[i]
         else estimate(p, shown[i], known, i)
         if known.identified[i]
-        else not_identified(problem, free, known, i, float(cost[i]), chance, explained)
+        else not_identified(
+            problem, free, known, i, float(cost[i]), chance, explained, limits.get(i, (None, None))
+        )
         for i, p in enumerate(said)
     }
+    estimated = free
+    for i in np.flatnonzero(jumping).tolist():
+        if (value := estimates[said[i].name].estimate) is not None:
+            estimated = estimated.at[i].set(value_near(problem.parameters[i], value, free))
+    setup = problem.setup_at(estimated)
+    scene, adjusted = possible(setup.scene)
     fisher = information(matrix, variance)
     units = {name: float(getattr(problem.noise, name)) for name in size}
     rms = {key: size[key] * units[key] for key in size}
@@ -309,11 +321,17 @@ def _result(
     reason = (
         f"interrupted after {sum(map(len, trace.losses.values()))} steps"
         if trace.interrupted
-        else _why_not(bool(ends.converged[best]), max(size.values()), near, len(ends.loss))
+        else _why_not(
+            bool(ends.converged[best]),
+            max(size.values()),
+            near,
+            len(ends.loss),
+            [p.name for i, p in enumerate(said) if i in flat],
+        )
     )
     return FitResult(
         parameters=estimates,
-        scene=setup.scene,
+        scene=scene,
         sensors=setup.sensor,
         loss=float(ends.loss[best]),
         residual_rms={("pose" if key == "position" else key): value for key, value in rms.items()},
@@ -332,6 +350,8 @@ def _result(
         lost=lost,
         problem=problem,
         free=np.asarray(free),
+        estimated=np.asarray(estimated),
+        adjusted=adjusted,
         information=fisher,
         variance=typical,
         widened=factors,
@@ -353,11 +373,11 @@ def _seconds(recordings: Sequence[Recording]) -> float:
     return sum(float(r.hip_t[-1] - r.hip_t[0]) for r in recordings if r.hip_t is not None)
 
 
-def _why_not(tolerant: bool, size: float, near: int, starts: int) -> str | None:
+def _why_not(tolerant: bool, size: float, near: int, starts: int, flat: Sequence[str] = ()) -> str | None:
     """Why a fit does not count as converged; `None`: it does.
 
     A solver's tolerances are no evidence of the best fit: the model explains the recordings, or several starts, and no
-    small share of them, ended at the same loss.
+    small share of them, ended at the same loss; but not where a number that is `flat` has no influence.
     """
     if not tolerant:
         return "the solver reached max_steps before it met its tolerances"
@@ -365,6 +385,8 @@ def _why_not(tolerant: bool, size: float, near: int, starts: int) -> str | None:
         return (
             f"the residuals are {size:.1f} times the noise, and {near} of {starts} starts ended at this loss"
         )
+    if size >= EXPLAINED and flat:
+        return f"the residuals are {size:.1f} times the noise, and {', '.join(flat)} has no influence there"
     return None
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from hapjax import Body, InputError, Object
 
-from .sensors import Setup, size_of
+from .sensors import Setup, size_of, widest_of
 from .start import is_start, size_of_start
 from .transform import Identity, Log, Logit, Transform
 from .whole_body import COUNT, SIZES, as_shown, body_of, is_whole, of_leaf, shown
@@ -269,7 +269,7 @@ def _transform(
             raise InputError(f"bounds of {path} are {limits!r}; allowed: two finite numbers, the lower first")
         return Logit(low, high)
     signed = is_start(path) or path.rsplit(".", 1)[-1] in _SIGNED
-    return Identity() if signed else Log()
+    return Identity(widest_of(path)) if signed else Log()
 
 
 def _child(node: Any, name: str, walked: list[str], path: str) -> Any:

@@ -104,7 +104,7 @@ def profile(result: FitResult, name: str) -> Profile:
     transform = problem.parameters[i].transform
     centre, free = float(result.free[i]), jnp.asarray(result.free)
     deviation = float(np.sqrt(result.covariance[i, i]))
-    step = deviation if 0 < deviation < transform.widest else 0.25
+    step = deviation if 0 < deviation < transform.widest else min(0.25, transform.widest)
     lost = partial(_refitted, problem=problem, i=i)
     least, variance = float(loss_at(free, problem)), result.variance * float(result.widened[i]) ** 2
     sides, edges = [], []

@@ -151,6 +151,8 @@ def _warnings(result: FitResult) -> list[str]:
         found.append(f"Not converged: {result.reason}. A better fit may exist.")
     if result.starts > 1 and result.starts_at_best == 1:
         found.append("Only one start ended at the best loss: a better one may have been missed.")
+    found += [f"{name} is {p.reason}." for name, p in result.parameters.items() if p.identified and p.reason]
+    found += result.adjusted
     if result.lost:
         dropped = ", ".join(f"{_count(n, 'sample')} of {name}" for name, n in result.lost.items())
         found.append(f"The model left the range of sense; dropped were {dropped}.")
@@ -186,9 +188,11 @@ def _cells(name: str, estimate: Estimate, truth: Mapping[str, float] | None, int
 
 def in_words(estimate: Estimate) -> str:
     """What is known of a parameter that is not identified, and why it is no more."""
-    low = estimate.interval95[0]
+    low, high = estimate.interval95
+    ends = (("at least", low), ("at most", high))
+    known = [f"{word} {end:.3g}" for word, end in ends if end is not None]
     reason = estimate.reason or "not identified"
-    return reason if low is None else f"at least {low:.3g}: {reason}"
+    return f"{' and '.join(known)}: {reason}" if known else reason
 
 
 def digits(value: float, error: float | None) -> str:

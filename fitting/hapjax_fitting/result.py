@@ -13,6 +13,7 @@ import numpy as np
 from hapjax import Finding, Recording, Scene
 from hapjax.files import replacing
 
+from .possible import possible
 from .problem import Problem
 from .sensors import Sensors
 from .start import Start
@@ -50,8 +51,9 @@ class FitResult:
     range of sense: the fit is that of the others, and `recordings` holds those that have some; `findings`, what is odd about
     the recordings; `interrupted`: Ctrl-C ended the search, and these are the best numbers so far; `measured`, how many
     numbers of each channel were compared; `identifiability`, which combinations of the numbers the recordings
-    fix, in sentences.
-    For what goes on from here: `problem`, what was solved; `free` (p,), the transformed numbers at the best; `information`
+    fix, in sentences; `adjusted`, where the scene differs from the estimates, as those can not be: sentences.
+    For what goes on from here: `problem`, what was solved; `free` (p,), the transformed numbers at the best; `estimated`
+    (p,), the same with the estimates of those that gradients do not see; `information`
     (p, p) of them, J'V^-1 J, Fisher's for the variances V that the residuals turned out to have; `variance`, their mean;
     `widened` (p,), by how many times the standard errors are above those of Gauss-Newton, as noise that was estimated turned
     out to be uneven.
@@ -78,23 +80,25 @@ class FitResult:
     sensors: Sensors = field(default_factory=Sensors)
     problem: Problem = field(repr=False, compare=False, kw_only=True)
     free: np.ndarray = field(repr=False, compare=False, kw_only=True)
+    estimated: np.ndarray = field(repr=False, compare=False, kw_only=True)
     information: np.ndarray = field(repr=False, compare=False, kw_only=True)
     widened: np.ndarray = field(repr=False, compare=False, kw_only=True)
     variance: float = 1.0
     measured: Mapping[str, int] = field(default_factory=dict)
     identifiability: tuple[str, ...] = ()
+    adjusted: tuple[str, ...] = ()
 
     def scene_of(self, name: str) -> Scene:
         """The scene with the best values for one of the recordings, by its name."""
-        return self.problem.scene_at(jnp.asarray(self.free), self.names.index(name))
+        return possible(self.problem.scene_at(jnp.asarray(self.estimated), self.names.index(name)))[0]
 
     def sensors_of(self, name: str) -> Sensors:
         """The sensors with the best values for one of the recordings, by its name."""
-        return self.problem.setup_at(jnp.asarray(self.free), self.names.index(name)).sensor
+        return self.problem.setup_at(jnp.asarray(self.estimated), self.names.index(name)).sensor
 
     def starts_of(self, name: str) -> dict[str, Start]:
         """How one of the recordings begins, by its name: of each object whose start is free, the best values."""
-        return self.problem.setup_at(jnp.asarray(self.free), self.names.index(name)).start
+        return self.problem.setup_at(jnp.asarray(self.estimated), self.names.index(name)).start
 
     @property
     def correlation(self) -> np.ndarray:
@@ -123,6 +127,7 @@ class FitResult:
             "wall_s": self.wall_s,
             "lost": dict(self.lost),
             "identifiability": list(self.identifiability),
+            "adjusted": list(self.adjusted),
             "findings": [asdict(finding) for finding in self.findings],
         }
         return _finite(figures)

@@ -20,6 +20,7 @@ _NEUTRAL = {
     "pose_delay": (0.0, 5e-3),
     "hip_rotation": ((0.0, 0.0, 0.0), 0.05),
 }
+_WIDEST = {"sensor.force_delay": 0.02, "sensor.pose_delay": 0.02, "sensor.hip_rotation": 0.1}
 
 
 def _number(value: Any) -> Any:
@@ -106,6 +107,12 @@ def explicit(sensors: Sensors, paths: list[str], dtype: Any) -> Sensors:
             values[name] = _NEUTRAL[name][0]
     found = Sensors(**values)
     return Sensors(**{n: None if v is None else jnp.asarray(v, dtype) for n, v in vars(found).items()})
+
+
+def widest_of(path: str) -> float:
+    """The standard error (s, rad) from which on a number counts as not identified: of a frame or a clock that is known no
+    better, the recording says nothing. Of numbers that have no natural size, infinite."""
+    return _WIDEST.get(path, float("inf"))
 
 
 def size_of(path: str) -> float | None:

@@ -35,9 +35,9 @@ class Transform(Protocol):
 
 @dataclass(frozen=True)
 class Identity:
-    """Any real number."""
+    """Any real number; `widest`, where its unit has a size beyond which it is not known at all."""
 
-    widest = float("inf")
+    widest: float = float("inf")
 
     def value(self, free: Float[Array, "*n"]) -> Float[Array, "*n"]:
         """The number itself."""

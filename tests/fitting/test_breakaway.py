@@ -1,5 +1,6 @@
 """The static mu: a search that no jump stops, and a likelihood that is a staircase."""
 
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -23,6 +24,7 @@ def test_a_staircase_of_likelihood():
     flat = Posterior(np.array([0.0, 1.0, 2.0]), np.array([0.5, 0.5]))
     assert flat.mean() == 1 and flat.deviation() == pytest.approx(2 / np.sqrt(12))
     np.testing.assert_allclose(flat.central(0.95), [0.05, 1.95])
+    np.testing.assert_allclose(replace(flat, cut=True).central(0.95), [0, 1.9])
     steep = Posterior(np.array([0.0, 1.0, 3.0]), np.array([0.1, 0.9]))
     np.testing.assert_allclose(steep.central(0.5), [1 + 2 * 0.15 / 0.9, 1 + 2 * 0.65 / 0.9])
 

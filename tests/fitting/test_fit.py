@@ -23,8 +23,8 @@ from fitting_cases import (
     recorded,
     stroke,
 )
-from hapjax import InputError, Recording, load_recording
-from hapjax_fitting import fit
+from hapjax import InputError, Recording, load_recording, load_scene, save_scene
+from hapjax_fitting import fit, table
 from hapjax_fitting.noise import noise_of
 from hapjax_fitting.parameters import free_parameters
 from hapjax_fitting.problem import Problem, grouped, stacked_residuals
@@ -246,7 +246,7 @@ def test_recordings_of_unequal_length_are_fitted_together():
 
 
 @pytest.mark.slow
-def test_static_and_kinetic_friction_are_told_apart():
+def test_static_and_kinetic_friction_are_told_apart(tmp_path):
     truth = floor(mu_static=0.7, mu_kinetic=0.4)
     free = ["object.floor.surface.mu_static", "object.floor.surface.mu_kinetic"]
     off = floor(mu_static=1.0, mu_kinetic=0.5)
@@ -255,6 +255,14 @@ def test_static_and_kinetic_friction_are_told_apart():
     low, high = result.parameters[free[0]].interval95
     assert low < 0.7 < high < 1.05 * low
     assert result.residual_rms["force"] == pytest.approx(SIGMA, rel=0.05)
+    # Where the two are one, the interval reaches down to where the kinetic one may be, and the scene holds the estimate.
+    plain = fitted(recorded(floor(mu_static=0.5, mu_kinetic=0.5)), scene=off, free=free)
+    static, kinetic = (plain.parameters[name] for name in free)
+    assert static.interval95[0] == kinetic.interval95[0] < 0.5 < static.interval95[1] < 0.6
+    assert "no more than 0.5" in static.reason and static.reason in str(table(plain).caption)
+    save_scene(plain.scene, tmp_path / "floor.toml")
+    surface: Any = load_scene(tmp_path / "floor.toml").object["floor"].surface
+    assert float(surface.mu_static) == pytest.approx(static.estimate, rel=1e-6)
     stuck = fitted(recorded(truth, length=2e-4), scene=off, free=free).parameters
     assert not stuck[free[0]].identified and 0 < stuck[free[0]].interval95[0] <= 0.7
     assert not stuck[free[1]].identified and stuck[free[1]].interval95 == (None, None)

@@ -80,6 +80,9 @@ def test_a_late_pose_is_found():
     p = result.parameters["sensor.pose_delay"]
     assert p.estimate is not None and p.standard_error is not None
     assert abs(p.estimate - late) < 4 * p.standard_error < 1e-4
+    blurred = fit(scene, recording, "sensor.pose_delay", noise=noise | {"position": 1.0}, starts=1)
+    p = blurred.parameters["sensor.pose_delay"]
+    assert not p.identified and p.reason == "the data hardly depend on it"
 
 
 @pytest.mark.parametrize("late", [0.0, 0.4, 1.0, 2.7, -1.3, 50.0, -50.0])
