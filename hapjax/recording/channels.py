@@ -86,6 +86,8 @@ def _numbers(name: str, value: object) -> np.ndarray:
         raise Refusal(name, "expected an array of real numbers, found rows of unequal length") from None
     if array.dtype.kind not in "fiu":
         raise Refusal(name, f"expected an array of real numbers, found one of type {array.dtype}")
+    if array.dtype == np.float64 and array.flags.owndata and not array.flags.writeable:
+        return array  # nobody writes to it
     with np.errstate(over="ignore"):  # what overflows float64 is then refused as infinite
         return np.array(array, np.float64)
 

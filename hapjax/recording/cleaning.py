@@ -37,7 +37,7 @@ def cleaned(path: Path, content: Content) -> Content:
             continue  # to be refused by Recording, which says why
         rows = np.arange(len(times))
         for step in (_numbers, _clock, _held, _lone):
-            keep, found = step(channel, values[rows], times[rows])
+            keep, found = step(channel, _at(values, rows), _at(times, rows))
             findings += found
             if step is _clock and len(rows) - len(keep) > _MOST_LATE * len(rows):
                 lost = int(np.setdiff1d(rows, rows[keep])[0])
@@ -56,12 +56,17 @@ def cleaned(path: Path, content: Content) -> Content:
             raise InputError(f"{path}, {channel}, {content.place(channel, int(rows[last]))}: {problem}")
         rows, findings = rows[keep], findings + found
         findings += _gaps(channel, times[rows])
-        arrays[channel], arrays[f"{channel}_t"], kept[channel] = values[rows], times[rows], rows
+        arrays[channel], arrays[f"{channel}_t"], kept[channel] = _at(values, rows), _at(times, rows), rows
 
     def place(channel: str, row: int) -> str:
         return content.place(channel, int(kept[channel][row]) if channel in kept else row)
 
     return Content(arrays, place, tuple(findings))
+
+
+def _at(array: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Some rows, in order; no copy where those are all."""
+    return array if len(rows) == len(array) else array[rows]
 
 
 def _is_channel(values: np.ndarray, times: np.ndarray) -> bool:
@@ -171,13 +176,20 @@ def _lone(channel: str, values: np.ndarray, times: np.ndarray) -> tuple[np.ndarr
         return everything, []
     flat = values[..., :3].reshape(len(values), -1)
     with np.errstate(over="ignore", invalid="ignore"):
-        step = np.abs(np.diff(flat, axis=0)).max(axis=1)
-        across = np.abs(flat[2:] - flat[:-2]).max(axis=1)
+        step, across = _farthest(flat, 1), _farthest(flat, 2)
         off = np.minimum(step[1:], step[:-1])
         far = (off > _REACH * np.diff(times)[1:]) & (off > 20 * np.median(step)) & (across < 0.2 * off)
     lone = np.concatenate([[False], far, [False]])
     what = f"jump away and back faster than {_REACH:g} m/s"
     return np.flatnonzero(~lone), _dropped(channel, "outlier", what, times, lone)
+
+
+def _farthest(flat: np.ndarray, apart: int) -> np.ndarray:
+    """How far samples (T, n) are from those `apart` before, at most; column by column, as that takes little room."""
+    far = np.zeros(len(flat) - apart)
+    for column in flat.T:
+        np.fmax(far, np.abs(column[apart:] - column[:-apart]), out=far)
+    return far
 
 
 def _gaps(channel: str, times: np.ndarray) -> Iterator[Finding]:

@@ -9,8 +9,11 @@ import numpy as np
 from ..errors import InputError
 from .finding import Finding
 
-# A file may unpack to 20 times its size and 64 MiB more: real recordings shrink to half at best.
-UNPACKED_RATIO, UNPACKED_MARGIN = 20, 64 * 2**20
+# A file's numbers, at 8 bytes each, may be 4 times its size and 2 MiB more: real recordings shrink to half at best. With
+# what reading and cleaning take beside, that stays below 20 times.
+UNPACKED_RATIO, UNPACKED_MARGIN = 4, 2 * 2**20
+# Messages shrink more, and are read one by one, chunk by chunk.
+MESSAGES_RATIO, CHUNK_RATIO = 8, 12
 
 
 @dataclass(frozen=True)
@@ -22,13 +25,9 @@ class Content:
     findings: tuple[Finding, ...] = ()
 
 
-def most_unpacked(size: int) -> int:
-    """How many bytes a file of `size` bytes may unpack to."""
-    return UNPACKED_RATIO * size + UNPACKED_MARGIN
-
-
-def check_unpacked(path: Path, size: int, unpacked: int) -> None:
+def check_unpacked(path: Path, size: int, unpacked: int, ratio: int = UNPACKED_RATIO) -> None:
     """Refuse, before it is done, to unpack a file of `size` bytes to far more. **Raises:** `InputError`."""
-    if unpacked > most_unpacked(size):
-        problem = f"expected {size} bytes to unpack to at most {most_unpacked(size)}, found {unpacked}"
+    most = ratio * size + UNPACKED_MARGIN
+    if unpacked > most:
+        problem = f"expected {size} bytes to unpack to at most {most}, found {unpacked}"
         raise InputError(f"{path}: {problem}; save it uncompressed")

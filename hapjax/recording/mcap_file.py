@@ -18,7 +18,7 @@ from ..extras import need
 from ..files import replacing
 from . import mcap_records, ros_topics
 from .channels import CHANNELS
-from .content import Content, check_unpacked
+from .content import MESSAGES_RATIO, Content, check_unpacked
 
 TOPICS = {f"/{name}": name for name in CHANNELS}
 _CHUNK = 64 * 2**10  # bytes
@@ -47,7 +47,7 @@ def read(path: Path, topics: Mapping[str, Sequence[str]] | None = None) -> Conte
             continue
         samples = gathered.setdefault(name, _Samples(name))
         samples.add(path, message.data)
-        check_unpacked(path, scan.size, sum(s.room for s in gathered.values()))
+        check_unpacked(path, scan.size, sum(s.room for s in gathered.values()), MESSAGES_RATIO)
     if not gathered:
         found = ", ".join(f"{t} ({kind})" for t, kind in sorted(others.items())[:20]) or "no messages"
         problem = f"expected JSON messages on {', '.join(TOPICS)}, found {found[:2000]}"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..extras import need
-from .content import check_unpacked
+from .content import CHUNK_RATIO, check_unpacked
 from .finding import Finding
 
 _DAMAGE = (ValueError, TypeError, KeyError, struct.error, OverflowError, MemoryError, EOFError, RuntimeError)
@@ -101,7 +101,7 @@ class Scan:
     def _unpacked(self, chunk) -> Iterator:
         """The records of a chunk."""
         errors = need("mcap.exceptions", "recording")
-        check_unpacked(self.path, self.size, chunk.uncompressed_size)
+        check_unpacked(self.path, self.size, chunk.uncompressed_size, CHUNK_RATIO)
         data = _decompressed(chunk)
         if len(data) != chunk.uncompressed_size:
             raise self._damaged("a chunk of another length than it says")

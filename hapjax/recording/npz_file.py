@@ -1,5 +1,6 @@
 """Recordings as NPZ: one array a channel, `hip`, and one for its times, `hip_t`."""
 
+import math
 import zipfile
 from collections import Counter
 from pathlib import Path
@@ -25,7 +26,10 @@ def read(path: Path) -> Content:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
             _check_members(path, size, members)
-            arrays = {_name(member): _read_array(path, archive, member) for member in members}
+            arrays, room = {}, 0
+            for member in members:
+                arrays[_name(member)], taken = _read_array(path, archive, member, room)
+                room += taken
     except InputError:
         raise
     # Of a damaged directory zipfile says BadZipFile, of a version in it that cannot be NotImplementedError, and of a
@@ -56,10 +60,25 @@ def _check_members(path: Path, size: int, members: list[zipfile.ZipInfo]) -> Non
     check_unpacked(path, size, sum(member.file_size for member in members))
 
 
-def _read_array(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+def _read_array(
+    path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, room: int
+) -> tuple[np.ndarray, int]:
+    """An array, and the bytes that its numbers take; `room` is what those before it take."""
     try:
         with archive.open(member) as file:
-            return np.lib.format.read_array(file, allow_pickle=False)
+            form = np.lib.format
+            read = (
+                form.read_array_header_1_0 if form.read_magic(file) == (1, 0) else form.read_array_header_2_0
+            )
+            shape, _, dtype = read(file)
+        if not dtype.hasobject and math.prod(shape) * dtype.itemsize > member.file_size:
+            raise ValueError("fewer numbers than it says")
+        taken = 8 * math.prod(shape)
+        check_unpacked(path, path.stat().st_size, room + taken)
+        with archive.open(member) as file:
+            return np.lib.format.read_array(file, allow_pickle=False), taken
+    except InputError:
+        raise
     except Exception as error:  # numpy, zipfile and zlib raise a dozen kinds for a damaged array
         found = "Python objects (pickled)" if "allow_pickle" in str(error) else "a damaged one"
         problem = f"expected an array of real numbers, found {found}"

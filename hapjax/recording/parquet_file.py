@@ -1,5 +1,7 @@
 """Recordings as Parquet: see `columns`. Nulls are samples not taken."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,8 @@ from ..extras import need
 from ..files import replacing
 from . import columns
 from .content import Content, check_unpacked
+
+_DAMAGED = "expected a whole Parquet file, found another format, a damaged one or one that was cut short"
 
 
 def read(path: Path) -> Content:
@@ -20,26 +24,36 @@ def read(path: Path) -> Content:
     """
     parquet = need("pyarrow.parquet", "recording")
     with open(path, "rb") as source:
-        header, table = _table(path, parquet, source)
-    layout = columns.layout(str(path), header)
-    times, clocked = table[header.index("t")]
-    rows, arrays = {}, {}
-    for name, places in layout.items():
-        there = np.stack([table[i][1] for i in places])
-        part = np.flatnonzero(there.any(axis=0) & ~there.all(axis=0))
-        if len(part):
-            empty = next(header[i] for i in places if not table[i][1][part[0]])
-            problem = f"expected all of a sample of {name} or none of it, found {empty} empty"
-            raise InputError(f"{path}, row {part[0]}: {problem}")
-        rows[name] = np.flatnonzero(there[0])
-        timeless = rows[name][~clocked[rows[name]]]
-        if len(timeless):
-            raise InputError(f"{path}, row {timeless[0]}, column t: expected a number, found none")
-        if len(rows[name]):
-            arrays[f"{name}_t"] = times[rows[name]]
-            numbers = np.stack([table[i][0][rows[name]] for i in places], axis=-1)
-            arrays[name] = columns.shaped(name, numbers)
+        header, column = _table(path, parquet, source)
+        layout = columns.layout(str(path), header)
+        times, clocked = column("t")
+        rows, arrays = {}, {}
+        for name, places in layout.items():
+            numbers, there = _channel(path, name, [header[i] for i in places], column)
+            rows[name] = np.flatnonzero(there)
+            timeless = rows[name][~clocked[rows[name]]]
+            if len(timeless):
+                raise InputError(f"{path}, row {timeless[0]}, column t: expected a number, found none")
+            if len(rows[name]):
+                arrays[f"{name}_t"] = times[rows[name]]
+                arrays[name] = numbers
     return Content(arrays, lambda channel, row: f"row {rows[channel][row]}")
+
+
+def _channel(path: Path, name: str, header: list[str], column) -> tuple[np.ndarray, np.ndarray]:
+    """The array of a channel, column by column as they are read, and in which rows there is a sample."""
+    values, there = column(header[0])
+    numbers = np.empty((int(there.sum()), len(header)))
+    for i, part in enumerate(header):
+        values, filled = (values, there) if i == 0 else column(part)
+        odd = np.flatnonzero(filled != there)
+        if len(odd):
+            empty = part if there[odd[0]] else header[0]
+            problem = f"expected all of a sample of {name} or none of it, found {empty} empty"
+            raise InputError(f"{path}, row {odd[0]}: {problem}")
+        numbers[:, i] = values[there]
+    numbers.shape = columns.shaped(name, numbers).shape  # in place: no copy is made of what owns its numbers
+    return numbers, there
 
 
 def write(arrays: dict[str, np.ndarray], path: Path) -> None:
@@ -47,11 +61,12 @@ def write(arrays: dict[str, np.ndarray], path: Path) -> None:
     parquet, arrow = need("pyarrow.parquet", "recording"), need("pyarrow", "recording")
     table = {name: arrow.array(numbers, mask=~taken) for name, numbers, taken in columns.merged(arrays)}
     with replacing(path, "wb") as file:
-        parquet.write_table(arrow.table(table), file)
+        # Plain, so that what hardly changes does not shrink to less than may be read.
+        parquet.write_table(arrow.table(table), file, compression="none", use_dictionary=False)
 
 
-def _table(path: Path, parquet, source) -> tuple[list[str], list[tuple[np.ndarray, np.ndarray]]]:
-    """The columns' names, and of each the numbers and in which rows there is one."""
+def _table(path: Path, parquet, source) -> tuple[list[str], Callable[[str], tuple[np.ndarray, np.ndarray]]]:
+    """The columns' names, and how to read one: the numbers, and in which rows there is one."""
     size = path.stat().st_size
     if size == 0:
         raise InputError(f"{path}: expected a Parquet file, found an empty one")
@@ -61,21 +76,22 @@ def _table(path: Path, parquet, source) -> tuple[list[str], list[tuple[np.ndarra
         _check_columns(path, schema)
         said = sum(about.row_group(g).total_byte_size for g in range(about.num_row_groups))
         check_unpacked(path, size, max(said, 8 * about.num_rows * len(schema)))
-        found = []
-        for name in schema.names:
-            column = file.read([name], use_threads=False).column(0)
-            there = ~column.is_null().to_numpy()
-            if len(there) != about.num_rows:
-                raise ValueError(f"{len(there)} rows of {name}")
-            found.append((column.fill_null(0).to_numpy().astype(np.float64), there))
-        return list(schema.names), found
+        return list(schema.names), partial(_column, path, file)
     except InputError:
         raise
     except Exception as error:  # pyarrow raises a dozen kinds for a damaged file
-        problem = (
-            "expected a whole Parquet file, found another format, a damaged one or one that was cut short"
-        )
-        raise InputError(f"{path}: {problem}") from error
+        raise InputError(f"{path}: {_DAMAGED}") from error
+
+
+def _column(path: Path, file, name: str) -> tuple[np.ndarray, np.ndarray]:
+    try:
+        column = file.read([name], use_threads=False).column(0)
+        there = ~column.is_null().to_numpy()
+        if len(there) != file.metadata.num_rows:
+            raise ValueError(f"{len(there)} rows of {name}")
+        return column.fill_null(0).to_numpy().astype(np.float64, copy=False), there
+    except Exception as error:
+        raise InputError(f"{path}: {_DAMAGED}") from error
 
 
 def _check_columns(path: Path, schema) -> None:

@@ -189,6 +189,8 @@ def _content(path: Path, topics: Mapping[str, Sequence[str]] | None) -> Content:
 
 
 def _built(path: Path, content: Content) -> Recording:
+    for array in content.arrays.values():
+        array.flags.writeable = False  # so that none is copied
     try:
         return Recording(**content.arrays, findings=content.findings)  # pyright: ignore[reportArgumentType]
     except Refusal as refusal:

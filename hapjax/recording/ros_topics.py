@@ -15,7 +15,7 @@ from ..errors import InputError, within
 from ..extras import need
 from . import mcap_records
 from .channels import CHANNELS
-from .content import Content, check_unpacked
+from .content import MESSAGES_RATIO, Content, check_unpacked
 from .finding import Finding
 
 # The message types as ROS 2 defines them, in its own language. Those in a file are not needed, and not trusted.
@@ -69,7 +69,7 @@ def read(path: Path, topics: Mapping[str, Sequence[str]]) -> Content:
             if track is None:
                 track = tracks[channel.topic] = _track(path, wanted[channel.topic], channel, schema)
             track.add(path, message)
-            check_unpacked(path, scan.size, sum(t.room for t in tracks.values()))
+            check_unpacked(path, scan.size, sum(t.room for t in tracks.values()), MESSAGES_RATIO)
     for topic in wanted:
         if topic not in tracks:
             found = ", ".join(f"{t} ({kind})" for t, kind in sorted(seen.items())[:20]) or "none"
