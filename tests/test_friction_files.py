@@ -1,6 +1,7 @@
 """Friction laws in scene files: read, written, refused in one sentence; and what a contact makes of one."""
 
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -58,8 +59,8 @@ def test_laws_of_surfaces_and_contacts_are_read(tmp_path):
 
 @pytest.mark.parametrize("name", LAWS)
 def test_what_is_written_is_read_again_to_the_last_bit(name, tmp_path, dtype):
-    kind = dict(tangential_stiffness=1234.567, anisotropy=1 / 3, grain=(0.1, -2 / 3, 0.0), damping=0.7)
-    kind["finger_mu"] = (1 / 3, 1.0)
+    kind: dict[str, Any] = dict(tangential_stiffness=1234.567, anisotropy=1 / 3, damping=0.7)
+    kind |= dict(grain=(0.1, -2 / 3, 0.0), finger_mu=(1 / 3, 1.0))
     law, mu = LAWS[name]
     scene = hapjax.Scene(
         {
