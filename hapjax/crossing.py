@@ -16,6 +16,7 @@ from .surface import Surface
 _PARALLEL = 0.02  # the sine of the angle below which two edges do not cross
 _ROUNDS = 8  # of Newton's method; where a circle's two nearest points meet it is slow
 _STRIDE = 0.5  # rad: no longer step
+_FOUND = 1e-3  # rad: a place is found if it is no farther off
 _FLAT = 1e-3  # of a square's bend over the radius: it counts as so much at least
 _TILT = 0.2  # how far, as a cosine, the crossing's normal may lean over a face beside the edge
 _SHALLOW = (
@@ -215,6 +216,10 @@ def _rim_on_side(centre, x, y, radius, axis: Axis) -> Crossing:
     ahead = jnp.arctan2(jnp.sum(still.u * still.y), jnp.sum(still.u * still.x))
     start = jnp.stack([ahead, ahead + jnp.pi])
     angle = jax.lax.fori_loop(0, _ROUNDS, lambda _, a: still.nearer(a), start)
+    # From close to where it is farthest a start does not arrive; the other one then has.
+    slope, bend = still.change(angle)
+    lost = (bend <= 0) | (jnp.abs(slope) > _FOUND * jnp.maximum(bend, _FLAT * still.radius))
+    angle = jnp.where(lost & ~lost[::-1], angle[::-1], angle)
     angle = circle.nearer(angle)  # whose derivative is that of the place
 
     point = circle.point(angle)

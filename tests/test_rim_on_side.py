@@ -57,6 +57,32 @@ def test_two_places_that_become_one_push_as_one():
     assert np.abs(np.diff(total)).max() < 2 * (ys[1] - ys[0])
 
 
+@pytest.mark.parametrize("tilt", [0.0, 1e-9, 1e-3])
+def test_logs_that_lie_along_each_other_touch_alike_however_they_are_rolled(tilt):
+    """Each rim of the short one is as deep as the other, whichever of its points is the lowest."""
+    deep = 1e-5
+    short, long = hapjax.Cylinder(0.02, 0.05), hapjax.Cylinder(0.02, 0.2)
+
+    @jax.jit
+    @jax.vmap
+    def pushed(roll):
+        turned = rotation.product(
+            rotation.from_rotation_vector(jnp.array([tilt, 0.0, 0.0])),
+            rotation.from_rotation_vector(roll * jnp.array([0.0, 0.0, 1.0])),
+        )
+        upper = Placed(short, jnp.array([0.04 - deep, 0.0, 0.0]), rotation.to_matrix(turned))
+        found = crossing.find(upper, Placed(long, jnp.zeros(3), jnp.eye(3)))
+        active = crossing.is_active(found, jnp.zeros_like(found.depth))
+        depth = jnp.where(active, found.depth, 0)
+        return jnp.sum(depth), jnp.sum(depth[:, None] * found.normal, axis=0)
+
+    total, push = pushed(jnp.linspace(0, 2 * jnp.pi, 2001))
+    lifted = 0.025 * np.sin(tilt)  # the rims' centres swing out sideways by so much
+    expected = 2 * (0.04 - np.hypot(0.04 - deep, lifted)) + deep * (tilt**2)
+    np.testing.assert_allclose(total, max(expected, 0), rtol=5e-3 if tilt else 1e-9)
+    np.testing.assert_allclose(push[:, 1], 0, atol=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("rod", [ROD, hapjax.Cylinder(0.01, 0.1)])
 def test_a_rod_laid_across_a_drum_rests_at_every_heading(rod):
