@@ -88,7 +88,7 @@ def start(contact: Contact, first: Mover, second: Mover) -> tuple[GodObject, ...
                 memory[-1] = dataclasses.replace(memory[-1], own=own)
         else:
             sliding = jnp.zeros_like(local[:, 0]) if contact.remembers() else None
-            memory.append(GodObject(local, jnp.zeros_like(local[:, 0]), sliding))
+            memory.append(GodObject(jnp.zeros_like(local), jnp.zeros_like(local[:, 0]), sliding))
             if walls.are_many(pair[b].placed.shape):
                 memory[-1] = walls.start(memory[-1])
     if _edges_cross(first.placed.shape, second.placed.shape):
@@ -196,19 +196,19 @@ def _points_on(
         flat = near.face != 0  # the side is met by the circles
         near = eqx.tree_at(lambda n: n.depth, near, jnp.where(flat, near.depth, 0))
         faces = flat if faces is None else faces & flat
-    places = b.placed.to_world(points)
-    slip = None
-    if contact.needs_velocity():
-        slip = rotation.turn_back(b.placed.matrix, a.velocity_at(places) - b.velocity_at(places))
-    carried = None if radius is None else _carried(a, b, radius, near)
-    if carried is not None:
-        carried = dt * carried
-        gods = eqx.tree_at(lambda g: g.point, gods, gods.point - carried)
-    meeting = god_object.meet(contact, gods, near, points, slip)
-    names = contact.between[way[0]], contact.between[way[1]]
-    kept = None if gods.own is None else own
+    places, names = b.placed.to_world(points), (contact.between[way[0]], contact.between[way[1]])
+    slip = rotation.turn_back(b.placed.matrix, a.velocity_at(places) - b.velocity_at(places))
+    meeting = god_object.meet(contact, gods, near, points, slip if contact.needs_velocity() else None)
+    kept, matrix = None if gods.own is None else own, b.placed.matrix
+    if radius is None:
+        return Link(meeting, points, places, matrix, track, gods.depth, None, None, faces, *names, own=kept)
+    # A ball touches now here, now there, on itself and on what it rolls over; what friction stretches is held by the
+    # material.
+    passed = dt * slip
+    offset = jnp.where((gods.depth > 0)[:, None], gods.point - passed, 0)
+    meeting = dataclasses.replace(meeting, offset=offset)
     return Link(
-        meeting, points, places, b.placed.matrix, track, gods.depth, None, carried, faces, *names, own=kept
+        meeting, points, places, matrix, None, gods.depth, None, passed, faces, *names, wanders=True, own=kept
     )
 
 
@@ -221,21 +221,6 @@ def _gone_on(gods: GodObject, own: Float[Array, "P 3"], a: Mover, b: Mover) -> G
     gods = jax.tree.map(lambda x: x[which], gods)
     way = rotation.turn_back(b.placed.matrix, rotation.turn(a.placed.matrix, moved))
     return dataclasses.replace(gods, point=gods.point + way)
-
-
-def _carried(a: Mover, b: Mover, radius, near: SurfacePoint):
-    """How fast the material of `a` passes through the contact points of its balls, in the frame of `b`; `None`: it does not.
-
-    The lowest point of a rolling ball travels with its centre while the material there stands still: the god-object is
-    held by the material, so it goes along.
-    """
-    spin, other = a.spin(), b.spin()
-    if other is not None:
-        spin = -other if spin is None else spin - other
-    if spin is None:
-        return None
-    arms = -radius * near.normal
-    return jnp.cross(jnp.broadcast_to(rotation.turn_back(b.placed.matrix, spin), arms.shape), arms)
 
 
 def _edges_on(contact: Contact, gods: GodObject, a: Mover, b: Mover, dt: Float[Array, ""]) -> Link:
@@ -256,5 +241,5 @@ def _edges_on(contact: Contact, gods: GodObject, a: Mover, b: Mover, dt: Float[A
     matrix, names = b.placed.matrix, contact.between
     faces = active | (found.admissible & (found.depth <= 0))
     return Link(
-        meeting, found.point, places, matrix, None, gods.depth, None, dt * slip, faces, *names, crossing=True
+        meeting, found.point, places, matrix, None, gods.depth, None, dt * slip, faces, *names, wanders=True
     )

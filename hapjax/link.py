@@ -32,7 +32,7 @@ class Link(eqx.Module):
       `None`: they are fixed in it, or the god-objects went along when they were read.
     - `own` (m): where these are in the frame of `of`.
     - `faces`: which of them have a surface before them that they could run into. `None`: all.
-    - `crossing`: they are where edges cross, and a god-object is kept as its offset.
+    - `wanders`: where they are goes over the material, and a god-object is kept as its offset.
     """
 
     meeting: Meeting
@@ -46,16 +46,17 @@ class Link(eqx.Module):
     faces: Bool[Array, "n"] | None
     of: str | None = eqx.field(static=True)
     on: str = eqx.field(static=True)
-    crossing: bool = eqx.field(static=True, default=False)
+    wanders: bool = eqx.field(static=True, default=False)
     own: Float[Array, "n 3"] | None = None
 
     def keep(self, pressed: Pressed) -> GodObject:
         """The god-objects after the step."""
-        if not self.crossing:
-            kept = god_object.keep(self.meeting, pressed, self.point, self.track)
-            return kept if self.own is None else dataclasses.replace(kept, own=self.own)
-        depth = self.meeting.near.depth  # below 0: the pair lies apart
-        return GodObject(jnp.where((depth > 0)[:, None], pressed.offset, 0), depth, pressed.sliding)
+        if self.wanders:
+            depth = self.meeting.near.depth  # below 0: they lie apart
+            offset = jnp.where((depth > 0)[:, None], pressed.offset, 0)
+            return GodObject(offset, depth, pressed.sliding, None, self.own)
+        kept = god_object.keep(self.meeting, pressed, self.point, self.track)
+        return kept if self.own is None else dataclasses.replace(kept, own=self.own)
 
     def wrenches(self, pressed: Pressed, centres: Mapping[str, Array]) -> dict[str, Wrench]:
         """What the touches do to the moving objects, by name; `centres` (m) are their centres of mass."""

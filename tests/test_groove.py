@@ -201,3 +201,18 @@ def test_derivatives_of_a_ball_in_a_groove_are_the_true_ones():
     assert speed(at) == pytest.approx(dt * (2 * K * depth * sine / MASS - G), rel=1e-9)
     for found in (jax.jacfwd(speed)(at), jax.jacrev(speed)(at)):
         np.testing.assert_allclose(found, truth, rtol=1e-6)
+
+
+@pytest.mark.parametrize("other", [hapjax.Sphere(0.03), hapjax.Mesh(*icosphere(3, 0.03))])
+def test_a_ball_that_rolls_over_something_round_without_slip_has_no_friction(other):
+    """Where it touches goes a part of the way of its centre, on both; what friction holds is the material."""
+    it = hapjax.Object(hapjax.Sphere(R), None, hapjax.Body(MASS), (0, 0, 0.03 + R - 2e-4))
+    pair = hapjax.Contact(K, mu=0.5, between=("it", "below"))
+    scene = hapjax.Scene({"it": it, "below": hapjax.Object(other)}, {"pair": pair})
+    scene = dataclasses.replace(scene, integrator=hapjax.SemiImplicit(1e-4))
+    v = 0.1
+    _, reply = play(scene, 40, velocity=(v, 0, 0), spin=(0, v / R, 0))
+    pressed = reply.contact["pair"].normal_force
+    assert np.all(pressed.max(axis=1)[:20] > 0.1)
+    friction = np.linalg.norm(reply.contact["pair"].friction_force, axis=-1)
+    assert friction.max() < 0.02 * 0.5 * pressed.max()
