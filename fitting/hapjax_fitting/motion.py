@@ -43,10 +43,11 @@ def stuck(evidence: Evidence) -> list[Stuck]:
     for finger in range(recording.hip.shape[1]):
         for axis in range(3):
             path = recording.hip[:, finger, axis]
-            for first, last in _rests(path, recording.hip_t):
+            jitter = _jitter(path)
+            for first, last in _rests(path, recording.hip_t, jitter):
                 begin, end = float(recording.hip_t[first]), float(recording.hip_t[last])
-                said = _jump(path, recording.hip_t, last)
-                if said is None and _moves(evidence, finger, axis, first, last):
+                said = _jump(path, recording.hip_t, last, jitter)
+                if said is None and _moves(evidence, finger, axis, first, last, jitter):
                     said = _contradicted(evidence, finger, axis, begin, end)
                 if said is not None:
                     sentence = (
@@ -69,9 +70,10 @@ def unreached(evidence: Evidence) -> list[Finding]:
             continue
         for axis in range(3):
             path = recording.hip[:, finger, axis]
-            rests = [r for r in _rests(path, recording.hip_t) if r[1] - r[0] > _ALWAYS * len(path)]
+            jitter = _jitter(path)
+            rests = [r for r in _rests(path, recording.hip_t, jitter) if r[1] - r[0] > _ALWAYS * len(path)]
             facing = np.abs(evidence.normal[:, finger, axis]).mean() > 0.5
-            if facing and any(_moves(evidence, finger, axis, *rest) for rest in rests):
+            if facing and any(_moves(evidence, finger, axis, *rest, jitter) for rest in rests):
                 sentence = (
                     f"{_AXES[axis]} of finger {finger} stays at {path[0]:.6g} m all the time, outside of all surfaces, "
                     f"while its force reaches {strongest:.3g} N: its encoder looks stuck, if the scene is in its place"
@@ -80,9 +82,8 @@ def unreached(evidence: Evidence) -> list[Finding]:
     return found
 
 
-def _rests(path: np.ndarray, times: np.ndarray) -> Iterator[tuple[int, int]]:
+def _rests(path: np.ndarray, times: np.ndarray, jitter: float) -> Iterator[tuple[int, int]]:
     """The first and last samples of each long rest of one axis' path (T,): but for jitter, or an encoder's one step."""
-    jitter = _jitter(path)
     still = maximum_filter1d(path, _MANY) - minimum_filter1d(path, _MANY) <= jitter
     same = np.concatenate([[False], maximum_filter1d(still, _MANY), [False]])
     starts, ends = np.flatnonzero(~same[:-1] & same[1:]), np.flatnonzero(same[:-1] & ~same[1:]) - 1
@@ -97,11 +98,11 @@ def _jitter(path: np.ndarray) -> float:
     return max(_JITTER, min(1.01 * least, _MOST_JITTER))
 
 
-def _moves(evidence: Evidence, finger: int, axis: int, first: int, last: int) -> bool:
+def _moves(evidence: Evidence, finger: int, axis: int, first: int, last: int, jitter: float) -> bool:
     """Whether the finger's other axes, or objects, move during a rest, so that it ought to as well."""
     recording = evidence.recording
     assert recording.hip is not None and recording.hip_t is not None
-    far = _MOVES * _jitter(recording.hip[:, finger, axis])
+    far = _MOVES * jitter
     others = np.delete(recording.hip[first : last + 1, finger], axis, axis=1)
     if np.ptp(others, axis=0).max() > far:
         return True
@@ -112,11 +113,11 @@ def _moves(evidence: Evidence, finger: int, axis: int, first: int, last: int) ->
     return during.sum() >= _FEW and bool(np.ptp(uniform_filter1d(place, _FEW, axis=0), axis=0).max() > far)
 
 
-def _jump(path: np.ndarray, times: np.ndarray, last: int) -> str | None:
+def _jump(path: np.ndarray, times: np.ndarray, last: int, jitter: float) -> str | None:
     """How far one axis jumps as a rest ends; None where it moves on as it always does."""
-    steps = np.abs(np.diff(path))
-    if last >= len(steps) or steps[last] <= _MOVES * _jitter(path):
+    if last + 1 >= len(path) or abs(path[last + 1] - path[last]) <= _MOVES * jitter:
         return None
+    steps = np.abs(np.diff(path))
     speeds = steps / np.diff(times)
     others = np.delete(speeds, last)
     moves = others[others > 0]
