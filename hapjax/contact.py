@@ -65,10 +65,6 @@ class Mover(eqx.Module):
             return jnp.zeros_like(points)
         return rigid.velocity_at(self.motion, points - self.centre[None])
 
-    def spin(self) -> Float[Array, "3"] | None:
-        """Its angular velocity (rad/s), world frame; `None`: it does not turn."""
-        return None if self.motion is None else self.motion.spin
-
 
 def check_shapes(first: Shape, second: Shape) -> None:
     """Refuse two shapes of which none has points to touch the other with."""

@@ -17,10 +17,12 @@ from .surface import Surface
 class GodObject(eqx.Module):
     """The memory of a touching point, in the touched object's frame.
 
-    `point` (m) is the god-object; out of contact it is the touching point itself. `depth` (m) is that of the last
+    `point` (m) is the god-object; out of contact it is the touching point itself. Of a ball, and of edges that cross, it is
+    the offset from where they touch, as that wanders over the material. `depth` (m) is that of the last
     step; above 0 means that the point was in contact. `sliding` is what the friction law remembers (of static and
     kinetic friction, 1 while the god-object is dragged, else 0) and `track` what the shape does; each is `None` where
-    that is nothing. `own` (m) is where a touching point that wanders over its object's material was in that object's frame.
+    that is nothing. `own` (m) is where a touching point that wanders over its object's material was in that object's
+    frame; of a ball in a hollow, the way from its centre, in the touched object's.
     """
 
     point: Float[Array, "*n 3"]

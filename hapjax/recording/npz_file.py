@@ -31,9 +31,9 @@ def read(path: Path) -> Content:
                 arrays[_name(member)], taken = _read_array(path, archive, member, room)
                 room += taken
     except InputError:
-        raise
-    # Of a damaged directory zipfile says BadZipFile, of a version in it that cannot be NotImplementedError, and of a
-    # name in it that is no text UnicodeDecodeError, a ValueError.
+        raise  # it is a ValueError, too
+    # zipfile has three ways to say that a directory is damaged: as such, for a version in it that it does not know, and for
+    # a name in it that is no text (UnicodeDecodeError).
     except (zipfile.BadZipFile, NotImplementedError, ValueError):
         problem = "expected a whole NPZ file, found another format or one that was cut short"
         raise InputError(f"{path}: {problem}") from None

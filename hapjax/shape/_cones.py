@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ._topology import Topology
+from ._topology import Topology, area_normals
 from ._triangle import dot
 
 _BEND = 1e-3  # sine of the angle by which a surface bends inward at an edge: less is rounding
@@ -54,8 +54,7 @@ def cones_of(
 
 
 def _normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
+    normals = area_normals(vertices, triangles)
     return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 

@@ -68,7 +68,7 @@ def _refuse_surface(points: np.ndarray, faces: np.ndarray, scale: float) -> None
                 f"{np.count_nonzero(bad)} of the triangles {what}, the first is {int(np.argmax(bad))}"
             )
 
-    area = np.linalg.norm(_area_normals(points * scale, faces), axis=1) / 2
+    area = np.linalg.norm(area_normals(points * scale, faces), axis=1) / 2
     find(area < SMALLEST_AREA, f"have an area below {SMALLEST_AREA} m^2")
     _, first, inverse, number = np.unique(
         np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
@@ -106,7 +106,7 @@ def _winding_outside(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
         (np.ones(3 * len(faces)), (np.repeat(faces[:, 0], 3), faces.ravel())), shape=(len(points),) * 2
     )
     piece = connected_components(graph, directed=False)[1][faces[:, 0]]
-    normals = _area_normals(points, faces)
+    normals = area_normals(points, faces)
     size = np.linalg.norm(normals, axis=1)
     found = np.zeros(len(faces))
     for label in np.unique(piece):
@@ -146,7 +146,7 @@ def vertex_normals(vertices: Any, triangles: Any) -> Any:
     In NumPy of NumPy's arrays; of JAX's, with their derivatives.
     """
     xp = jnp if isinstance(vertices, jax.Array) else np
-    normals = _area_normals(vertices, triangles)
+    normals = area_normals(vertices, triangles)
     normals = normals / xp.linalg.norm(normals, axis=1, keepdims=True)
     each = []
     for i in range(3):
@@ -168,7 +168,8 @@ def vertex_normals(vertices: Any, triangles: Any) -> Any:
     return xp.where(thin, first, total / xp.sqrt(xp.where(thin, 1, square)))
 
 
-def _area_normals(vertices: Any, triangles: Any) -> Any:
+def area_normals(vertices: Any, triangles: Any) -> Any:
+    """The outward normals (T, 3), each as long as twice the area of its triangle."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     return (jnp if isinstance(vertices, jax.Array) else np).cross(b - a, c - a)
 
