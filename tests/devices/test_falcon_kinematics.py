@@ -1,0 +1,86 @@
+"""The Falcon's legs: there and back, and against the closed form of their Jacobian."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hapjax_devices.falcon import kinematics
+
+
+@pytest.fixture(scope="module")
+def places():
+    """Positions all over the workspace: 40 mm around z, from 75 mm to where the legs are almost stretched."""
+    random = np.random.default_rng(0)
+    radius, angle = 0.040 * np.sqrt(random.random(2000)), 2 * np.pi * random.random(2000)
+    z = 0.075 + 0.097 * random.random(2000)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+
+
+def closed_form(position):
+    """The Jacobian leg by leg, from Stamper's three angles (with c, d, e, f and s of the Falcon)."""
+    a, b, c, ends, f, r, s = 0.060, 0.1025, 0.01443, 0.01125 + 0.01125, -0.025, 0.040, -0.02309
+    rows = []
+    for phi in np.radians([105.0, -15.0, -135.0]):
+        u = position[0] * np.cos(phi) + position[1] * np.sin(phi) - r + c
+        v = -position[0] * np.sin(phi) + position[1] * np.cos(phi) - s
+        w = position[2]
+        third = np.arccos((v + f) / b)
+        long = ends + b * np.sin(third)
+        first = np.arctan2(w, u) - np.arccos((u**2 + w**2 + a**2 - long**2) / (2 * a * np.hypot(u, w)))
+        second = np.arctan2(w - a * np.sin(first), u - a * np.cos(first))
+        row = np.array([np.cos(second) * np.sin(third), np.cos(third), np.sin(second) * np.sin(third)])
+        row /= a * np.sin(third) * np.sin(second - first)
+        turn = np.array([[np.cos(phi), -np.sin(phi), 0], [np.sin(phi), np.cos(phi), 0], [0, 0, 1]])
+        rows.append(turn @ row)
+    return np.array(rows)
+
+
+def test_there_and_back(places, dtype):
+    with jax.enable_x64(True):
+        found = jax.jit(jax.vmap(lambda p: kinematics.forward(kinematics.inverse(p))))(
+            jnp.asarray(places, dtype)
+        )
+    assert found.dtype == dtype
+    assert np.max(np.abs(np.asarray(found) - places)) < (1e-9 if dtype == jnp.float64 else 1e-5)
+
+
+def test_the_jacobian_is_that_of_the_closed_form(places):
+    slopes = np.asarray(jax.jit(jax.vmap(kinematics.jacobian))(jnp.asarray(places)))
+    for position, slope in zip(places[:200], slopes, strict=False):
+        np.testing.assert_allclose(slope, closed_form(position), rtol=1e-9, atol=1e-9)
+
+
+def test_derivatives_of_forward_in_both_modes():
+    counts = np.array([-110.0, 82.0, 0.0])
+    angles = kinematics.AT_ZERO + kinematics.COUNT * counts
+    expected = np.linalg.inv(closed_form(kinematics.stance_of(counts).position))
+    both = jax.jit(lambda a: (jax.jacfwd(kinematics.forward)(a), jax.jacrev(kinematics.forward)(a)))
+    for found in both(angles):
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_forces_there_and_back(places):
+    """What pushes the grip comes back, and the power of arms and grip is the same."""
+    random = np.random.default_rng(1)
+    for position in places[:50]:
+        stance = kinematics.stance_of(kinematics.counts_at(position))
+        np.testing.assert_allclose(stance.position, position, atol=1e-9)
+        force, velocity = 8 * random.standard_normal(3), random.standard_normal(3)
+        torques = stance.torques(force)
+        np.testing.assert_allclose(stance.force(torques), force, atol=1e-9)
+        np.testing.assert_allclose(torques @ (closed_form(position) @ velocity), force @ velocity, rtol=1e-9)
+
+
+def test_a_count_is_a_part_of_a_turn():
+    assert kinematics.counts_at(
+        kinematics.stance_of(np.array([40.0, -200.0, 7.0])).position
+    ) == pytest.approx([40, -200, 7], abs=1e-6)
+    low = kinematics.stance_of(np.zeros(3)).position
+    np.testing.assert_allclose(low[:2], 0, atol=1e-12)  # all legs alike: on the axis
+    np.testing.assert_allclose(np.degrees(kinematics.inverse(jnp.asarray(low))), 35.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("counts", [(32767, -32768, 5), (3000, 0, 0), (0, -3000, 3000)])
+def test_counts_that_no_position_has_are_nan(counts):
+    assert np.isnan(kinematics.stance_of(np.array(counts)).position).all()
