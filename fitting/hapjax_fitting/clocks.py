@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import savgol_filter
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from hapjax import Finding, Mesh
 
@@ -23,6 +23,7 @@ _BETTER, _SURE, _CLOSE = 0.4, 0.15, 4.0
 _WIDE, _WIDE_BETTER = 0.25, 0.08
 _ENOUGH = 0.2  # of the moments
 _CHANCE = 40.0  # times what one shift saves by chance (its standard error, squared)
+_HAZY = 1.5  # times what noise comes to where poses count: so well is that known
 _LEAST, _LEAST_OF_POSES = 2e-3, 6e-3  # s, and where noisy poses count: rates are not well known there
 _TICK, _LONG_TICK = 5e-4, 8e-3  # s before and after, over which rates are taken, and where noisy poses count
 _SMOOTH = 0.015  # s, over which noisy poses are smoothed
@@ -39,22 +40,25 @@ def clock_of(evidence: Evidence, suspects: Sequence[Stuck] = ()) -> tuple[Eviden
     few = slice(None, None, -(-len(force) // _SAMPLES))
     thin = replace(_smoothed(evidence), times=evidence.times[few], force=force[few])
     used = _free_of(thin, suspects)
+    count = int(used.sum())
+    now = _unexplained(thin, used, np.zeros(1), (1.0, 1.0))[0]
+    before = float(np.sum(now**2))
+    fixed = evidence.places.fixed.all()
+    if before <= (1 + _CHANCE / count if fixed else _HAZY) * count * thin.blur**2:
+        return evidence, []  # there is nothing to explain
     length = float(hip_t[-1] - hip_t[0])
     mesh = any(isinstance(o.shape, Mesh) for o in evidence.scene.object.values())
     far = min(_FAR_ON_MESHES if mesh else _FAR, _PART * length)
     channels = {"force": (1.0, 1.0)}  # how its shift moves hip and pose against it
-    if not evidence.places.fixed.all():
+    if not fixed:
         channels |= {"hip": (-1.0, 0.0), "pose": (0.0, -1.0)}
     found = {name: _best(thin, used, moved, far) for name, moved in channels.items()}
     name = min(found, key=lambda name: found[name][1])
     lag, cost = found[name]
-    now, less = (_unexplained(thin, used, np.array([x]), channels[name])[0] for x in (0.0, lag))
-    count = int(used.sum())
-    noise = min(evidence.blur**2 * count, cost)
-    before = float(np.sum(now**2))
+    less = _unexplained(thin, used, np.array([lag]), channels[name])[0]
+    noise = min(thin.blur**2 * count, cost)
     chance = cost / count * max(correlation_time([less[None, :, None]]), 1)
     part = (cost - noise) / max(before - noise, 1e-300)
-    fixed = evidence.places.fixed.all()
     least = max(_LEAST if fixed else _LEAST_OF_POSES, 2 * length / len(hip_t))
     better = _BETTER if abs(lag) <= _WIDE * length else _WIDE_BETTER
     if before - cost < _CHANCE * chance or part > better or abs(lag) < least:
@@ -99,7 +103,10 @@ def _smoothed(evidence: Evidence) -> Evidence:
     pose[1:, :, 3:] *= np.where(np.cumsum(turned, axis=0) % 2 == 1, -1.0, 1.0)[..., None]
     pose = np.asarray(savgol_filter(pose, window, 2, axis=0))
     pose[..., 3:] /= np.linalg.norm(pose[..., 3:], axis=-1, keepdims=True)
-    return replace(evidence, recording=replace(recording, pose=pose))
+    # Of white noise a filter leaves the squares of its coefficients.
+    left = np.sum(savgol_coeffs(window, 2) ** 2)
+    blur = float(np.sqrt(evidence.noise**2 + left * (evidence.blur**2 - evidence.noise**2)))
+    return replace(evidence, recording=replace(recording, pose=pose), blur=blur)
 
 
 def _best(
@@ -127,18 +134,17 @@ def _unexplained(
     evidence: Evidence, used: np.ndarray, lags: np.ndarray, moved: tuple[float, float]
 ) -> np.ndarray:
     """The parts (L, N F) N of the normal forces that are not explained at each shift (L,) s."""
-    places = evidence.shifted(moved[0] * lags, moved[1] * lags)
-    tick = _TICK if places.fixed.all() else _LONG_TICK
-    before, after = (evidence.shifted(moved[0] * lags + t, moved[1] * lags + t).depth for t in (tick, -tick))
+    tick = _TICK if evidence.places.fixed.all() else _LONG_TICK
+    places = evidence.shifted(moved[0] * lags, moved[1] * lags, tick)
     assert evidence.force is not None
     shape = (len(lags), *evidence.force.shape)
     touching = (places.depth > 0).reshape(shape[:3])
-    depth = np.where(touching, places.depth.reshape(shape[:3]), 0)
-    rate = (after - before).reshape(shape[:3]) / (2 * tick)
+    depth, rate = (np.where(touching, x.reshape(shape[:3]), 0) for x in (places.depth, places.rate))
     normal = np.einsum("nfij,nfj->nfi", places.turn, places.normal).reshape(shape)
     along = np.sum(evidence.force * normal, axis=-1)
-    # Out of contact all of a force is unexplained.
-    wanted = used * np.where(touching, along, np.linalg.norm(evidence.force, axis=-1))
+    # Out of contact all of a force is unexplained: but for noise, of which it has three parts, and a normal force one.
+    whole = np.sqrt(np.maximum(np.sum(evidence.force**2, axis=-1) - 2 * evidence.noise**2, 0))
+    wanted = used * np.where(touching, along, whole)
     wanted, depth = wanted.reshape(len(lags), -1), used * depth
     basis = np.stack([depth, depth * rate], axis=-1).reshape(len(lags), -1, 2)
     square = np.einsum("lni,lnj->lij", basis, basis)

@@ -9,7 +9,6 @@ from functools import cached_property, partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -19,6 +18,7 @@ from .noise import noise_of
 
 _MOST = 4000  # samples that are looked at
 _MOST_ON_MESHES = 500
+_PIECE = 4**7  # points at once
 _SELDOM = 0.1  # s: between poses farther apart it is not known where the object was
 
 
@@ -27,7 +27,7 @@ class Places:
     """N moments, F fingers: signed `depth` (N, F) m in the surface that is touched most, its outward `normal` (N, F, 3).
 
     In the frame of the touched object: `normal`, and `point` (N, F, 3) m, the finger. `turn` (N, F, 3, 3) leads from there
-    to the world; `fixed` (N, F): the object has no body.
+    to the world; `fixed` (N, F): the object has no body. `rate` (N, F) m/s, of the depth, where it was asked for, else 0.
     """
 
     depth: np.ndarray
@@ -36,6 +36,7 @@ class Places:
     turn: np.ndarray
     fixed: np.ndarray
     which: np.ndarray
+    rate: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -87,14 +88,11 @@ class Evidence:
         assert self.force is not None
         return np.einsum("nfji,nfj->nfi", self.places.turn, self.force)
 
-    def shifted(self, hip: np.ndarray, pose: np.ndarray) -> Places:
-        """Where the fingers were, with the clocks of `hip` and `pose` moved: lags (L,) s, stacked to L N moments."""
-        return _places(
-            self.scene,
-            self.recording,
-            (self.times - hip[:, None]).ravel(),
-            (self.times - pose[:, None]).ravel(),
-        )
+    def shifted(self, hip: np.ndarray, pose: np.ndarray, tick: float | None = None) -> Places:
+        """Where the fingers were, with the clocks of `hip` and `pose` moved: lags (L,) s, stacked to L N moments; with
+        rates, from as many s as `tick` before to as many after, where it is given."""
+        of_hip, of_pose = ((self.times - lags[:, None]).ravel() for lags in (hip, pose))
+        return _places(self.scene, self.recording, of_hip, of_pose, tick)
 
 
 def evidence_of(scene: Scene, recording: Recording, most: int = _MOST) -> Evidence | None:
@@ -152,25 +150,45 @@ def _known(scene: Scene, recording: Recording) -> tuple[list[str], bool]:
     return names, len(names) == len(touchable)
 
 
-def _places(scene: Scene, recording: Recording, hip_times: np.ndarray, pose_times: np.ndarray) -> Places:
-    hip = _at(hip_times, recording.hip_t, recording.hip)
-    count, fingers = hip.shape[:2]
+def _places(
+    scene: Scene,
+    recording: Recording,
+    hip_times: np.ndarray,
+    pose_times: np.ndarray,
+    tick: float | None = None,
+) -> Places:
     best = None
     for which, name in enumerate(_known(scene, recording)[0]):
-        position, turn = _poses(scene, recording, name, pose_times)
-        local = np.einsum("nji,nfj->nfi", turn, hip - position[:, None])
-        depth, normal = _closest(scene.object[name].shape, local.reshape(-1, 3), scene.integrator.dt.dtype)
+        point, turn = _seen_from(scene, recording, name, hip_times, pose_times)
+        shape = point.shape[:2]
+        flat, normal = _closest(scene.object[name].shape, point.reshape(-1, 3), scene.integrator.dt.dtype)
+        normal, rate = normal.reshape(point.shape), np.zeros(shape)
+        if tick is not None:
+            after, before = (
+                _seen_from(scene, recording, name, hip_times + t, pose_times + t)[0] for t in (tick, -tick)
+            )
+            rate = np.sum(normal * (before - after), axis=-1) / (2 * tick)
         found = Places(
-            depth.reshape(count, fingers),
-            normal.reshape(count, fingers, 3),
-            local,
-            np.broadcast_to(turn[:, None], (count, fingers, 3, 3)),
-            np.full((count, fingers), scene.object[name].body is None),
-            np.full((count, fingers), which),
+            flat.reshape(shape),
+            normal,
+            point,
+            np.broadcast_to(turn[:, None], (*shape, 3, 3)),
+            np.full(shape, scene.object[name].body is None),
+            np.full(shape, which),
+            rate,
         )
         best = found if best is None else _deeper(best, found)
     assert best is not None
     return best
+
+
+def _seen_from(
+    scene: Scene, recording: Recording, name: str, hip_times: np.ndarray, pose_times: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The fingers (N, F, 3) m in an object's frame, and the rotation matrices (N, 3, 3) from there to the world."""
+    position, turn = _poses(scene, recording, name, pose_times)
+    hip = _at(hip_times, recording.hip_t, recording.hip)
+    return np.matmul(hip - position[:, None], turn), turn
 
 
 def _deeper(one: Places, other: Places) -> Places:
@@ -215,11 +233,14 @@ def _at(times: np.ndarray, clock, samples) -> np.ndarray:
 
 def _closest(shape, points: np.ndarray, dtype) -> tuple[np.ndarray, np.ndarray]:
     """Depth (n,) m and outward normal (n, 3) at points (n, 3) m."""
-    # To a power of four, so that few sizes are compiled.
-    full = np.zeros((4 ** max(-(-(len(points) - 1).bit_length() // 2), 4), 3))
+    # Of few sizes, each of which is compiled: powers of four, then pieces of the largest.
+    size = min(4 ** max(-(-(len(points) - 1).bit_length() // 2), 4), _PIECE)
+    full = np.zeros((-(-len(points) // size) * size, 3), dtype)
     full[: len(points)] = points
-    depth, normal = _closest_each(shape, jnp.asarray(full, dtype), 16 if isinstance(shape, Mesh) else 4096)
-    return np.asarray(depth, float)[: len(points)], np.asarray(normal, float)[: len(points)]
+    batch = 16 if isinstance(shape, Mesh) else 4096
+    pieces = [_closest_each(shape, piece, batch) for piece in full.reshape(-1, size, 3)]
+    depth, normal = (np.concatenate(x).astype(float)[: len(points)] for x in zip(*pieces, strict=True))
+    return depth, normal
 
 
 @partial(jax.jit, static_argnames="batch")

@@ -41,6 +41,7 @@ def stuck(evidence: Evidence) -> list[Stuck]:
     assert recording.hip is not None and recording.hip_t is not None
     found = []
     for finger in range(recording.hip.shape[1]):
+        felt = _Felt(evidence, finger)
         for axis in range(3):
             path = recording.hip[:, finger, axis]
             jitter = _jitter(path)
@@ -48,7 +49,7 @@ def stuck(evidence: Evidence) -> list[Stuck]:
                 begin, end = float(recording.hip_t[first]), float(recording.hip_t[last])
                 said = _jump(path, recording.hip_t, last, jitter)
                 if said is None and _moves(evidence, finger, axis, first, last, jitter):
-                    said = _contradicted(evidence, finger, axis, begin, end)
+                    said = felt.against(axis, begin, end)
                 if said is not None:
                     sentence = (
                         f"{_AXES[axis]} of finger {finger} stays at {path[first]:.6g} m from "
@@ -103,8 +104,8 @@ def _moves(evidence: Evidence, finger: int, axis: int, first: int, last: int, ji
     recording = evidence.recording
     assert recording.hip is not None and recording.hip_t is not None
     far = _MOVES * jitter
-    others = np.delete(recording.hip[first : last + 1, finger], axis, axis=1)
-    if np.ptp(others, axis=0).max() > far:
+    spans = np.ptp(recording.hip[first : last + 1, finger], axis=0)
+    if max(spans[axis - 1], spans[axis - 2]) > far:
         return True
     if recording.pose is None or recording.pose_t is None:
         return False
@@ -126,65 +127,99 @@ def _jump(path: np.ndarray, times: np.ndarray, last: int, jitter: float) -> str 
     return f"then jumps by {1e3 * steps[last]:.3g} mm from one sample to the next"
 
 
-def _contradicted(evidence: Evidence, finger: int, axis: int, begin: float, end: float) -> str | None:
-    """What the force says against a rest of an axis; None where it says nothing."""
-    places = evidence.places
-    assert evidence.force is not None
-    touching = places.depth[:, finger] > 0
-    during = (evidence.times >= begin) & (evidence.times <= end)
-    world, along = evidence.normal[:, finger], evidence.along[:, finger]
-    felt = during & touching
-    # A finger that is frozen outside what it presses on is told by its force alone.
-    strength = evidence.strength[:, finger]
-    outside, idle = during & ~touching & evidence.pressed[:, finger], ~during & ~touching
-    if (
-        outside.sum() >= max(_FEW, 0.2 * during.sum())
-        and np.abs(world[outside, axis]).mean() > 0.5
-        and (idle.sum() < _FEW or strength[outside].max() > 5 * np.median(strength[idle]))
-    ):
-        return f"while it presses with up to {strength[outside].max():.3g} N on what it does not reach"
-    if felt.sum() < _FEW:
-        return None
-    if np.abs(world[felt, axis]).mean() <= 0.5:
-        return _pulled(evidence, finger, axis, felt)
-    # On one face: at an edge it depends on the way which face it is, and with it the depth.
-    normal = places.normal[:, finger]
-    face = np.abs(normal - np.median(normal[felt], axis=0)).max(axis=-1) < _SAME
-    felt, rest = felt & face, touching & ~during & face
-    if felt.sum() < _FEW:
-        return None
-    depth = places.depth[:, finger]
-    whole = rest.sum() < _FEW
-    if whole and (touching & ~during).sum() >= _FEW:
-        return None  # what there is to compare with is another face
-    reference = felt if whole else rest
-    stiffness = np.sum(along[reference]) / np.sum(depth[reference])
-    off = along - stiffness * depth
-    wrong, size, usual = (float(np.sqrt(np.mean(x**2))) for x in (off[felt], along[felt], off[reference]))
-    if wrong > max(5 * evidence.blur, 0.15 * size) and (whole or wrong > 3 * usual):
-        return f"while the force is off by {wrong:.3g} N from what its depth gives ({size:.3g} N)"
-    return None
+class _Felt:
+    """What a finger feels, as it can be held against many rests of its path."""
 
+    def __init__(self, evidence: Evidence, finger: int):
+        places = evidence.places
+        self.evidence, self.finger = evidence, finger
+        self.depth, self.normal = places.depth[:, finger], places.normal[:, finger]
+        self.touching, self.which = self.depth > 0, places.which[:, finger]
+        self.world, self.along = evidence.normal[:, finger], evidence.along[:, finger]
+        self.strength, self.pressed = evidence.strength[:, finger], evidence.pressed[:, finger]
+        self.face: tuple[np.ndarray, np.ndarray] | None = None
 
-def _pulled(evidence: Evidence, finger: int, axis: int, felt: np.ndarray) -> str | None:
-    """Friction that changes along an axis that rests, on what does not move, but to fade: for that it takes a motion."""
-    assert evidence.force is not None
-    places = evidence.places
-    for first, last in _spells(felt, places.which[:, finger]):
-        rows = slice(first, last)
-        turn, normal = places.turn[rows, finger], places.normal[rows, finger]
-        world = np.einsum("nij,nj->ni", turn, normal)
-        if last - first < _FEW or not places.fixed[rows, finger].all() or np.abs(world[:, axis]).max() > 0.1:
-            continue
-        force = evidence.force[rows, finger]
-        along = np.sum(force * world, axis=-1)
-        pull = median_filter(force[:, axis] - along * world[:, axis], 5)
-        usual = _PULL * _wander(along, places.depth[rows, finger])
-        sign = -1.0 if pull[0] < 0 else 1.0
-        grown = max(float(np.max(sign * pull - abs(pull[0]))), float(np.max(-sign * pull)))
-        if grown > max(5 * evidence.noise, usual, 0.1 * float(np.mean(along))):
-            return f"while friction pulls along it by {grown:.3g} N more, or the other way"
-    return None
+    def against(self, axis: int, begin: float, end: float) -> str | None:
+        """What the force says against a rest of an axis; None where it says nothing."""
+        times = self.evidence.times
+        rows = slice(int(np.searchsorted(times, begin)), int(np.searchsorted(times, end, "right")))
+        if (said := self._beyond(axis, rows)) is not None:
+            return said
+        felt = self.touching[rows]
+        if np.count_nonzero(felt) < _FEW:
+            return None
+        facing = np.abs(self.world[rows, axis][felt]).mean() > 0.5
+        return self._off(rows) if facing else self._pulled(axis, rows)
+
+    def _beyond(self, axis: int, rows: slice) -> str | None:
+        """A finger that is frozen outside what it presses on: its force alone tells."""
+        outside = ~self.touching[rows] & self.pressed[rows]
+        count = np.count_nonzero(outside)
+        if count < max(_FEW, 0.2 * len(outside)) or np.abs(self.world[rows, axis][outside]).mean() <= 0.5:
+            return None
+        idle = ~self.touching
+        idle[rows] = False
+        most = self.strength[rows][outside].max()
+        if idle.sum() >= _FEW and most <= 5 * np.median(self.strength[idle]):
+            return None
+        return f"while it presses with up to {most:.3g} N on what it does not reach"
+
+    def _off(self, rows: slice) -> str | None:
+        """A force that is not the one that the depth gives, as it does outside of the rest, or else on average."""
+        felt = self.normal[rows][self.touching[rows]]
+        # On one face: at an edge it depends on the way which face it is, and with it the depth.
+        sums = self._sums(felt[0] if (felt == felt[0]).all() else np.median(felt, axis=0))
+        during = sums[rows.stop] - sums[rows.start]
+        beside = sums[-1] - during
+        if during[0] < _FEW:
+            return None
+        whole = beside[0] < _FEW
+        if whole and np.count_nonzero(self.touching) - len(felt) >= _FEW:
+            return None  # what there is to compare with is another face
+        reference = during if whole else beside
+        stiffness = reference[1] / reference[2]
+
+        def size(sums: np.ndarray, stiffness: float) -> float:
+            square = sums[3:] @ (1.0, -2 * stiffness, stiffness**2)
+            return float(np.sqrt(max(square, 0.0) / sums[0]))
+
+        wrong, typical = size(during, stiffness), size(during, 0.0)
+        far = wrong > max(5 * self.evidence.blur, 0.15 * typical)
+        if far and (whole or wrong > 3 * size(reference, stiffness)):
+            return f"while the force is off by {wrong:.3g} N from what its depth gives ({typical:.3g} N)"
+        return None
+
+    def _sums(self, normal: np.ndarray) -> np.ndarray:
+        """Of touches of the face with a normal, up to each moment (N + 1, 6): how many, force along it, depth, and the
+        squares and the product of these two."""
+        if self.face is None or (self.face[0] != normal).any():
+            on = self.touching & (np.abs(self.normal - normal).max(axis=-1) < _SAME)
+            force, depth = self.along, self.depth
+            rows = np.stack([np.ones_like(depth), force, depth, force**2, force * depth, depth**2], axis=-1)
+            self.face = normal, np.cumsum(np.concatenate([np.zeros((1, 6)), rows * on[:, None]]), axis=0)
+        return self.face[1]
+
+    def _pulled(self, axis: int, rows: slice) -> str | None:
+        """Friction that changes along an axis that rests, on what does not move, but to fade: for that it takes a motion."""
+        force, places = self.evidence.force, self.evidence.places
+        assert force is not None
+        for begin, end in _spells(self.touching[rows], self.which[rows]):
+            some = slice(rows.start + begin, rows.start + end)
+            world = self.world[some]
+            if (
+                end - begin < _FEW
+                or not places.fixed[some, self.finger].all()
+                or np.abs(world[:, axis]).max() > 0.1
+            ):
+                continue
+            along = self.along[some]
+            pull = median_filter(force[some, self.finger, axis] - along * world[:, axis], 5)
+            usual = _PULL * _wander(along, self.depth[some])
+            sign = -1.0 if pull[0] < 0 else 1.0
+            grown = max(float(np.max(sign * pull - abs(pull[0]))), float(np.max(-sign * pull)))
+            if grown > max(5 * self.evidence.noise, usual, 0.1 * float(np.mean(along))):
+                return f"while friction pulls along it by {grown:.3g} N more, or the other way"
+        return None
 
 
 def _wander(along: np.ndarray, depth: np.ndarray) -> float:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from fitting_cases import floor, forces, held_cube, shaken_cube, stroke
 from hapjax import Recording, Scene, cast
-from hapjax_fitting.benchmark import pushed
+from hapjax_fitting.benchmark import pushed, speed
 from hapjax_fitting.benchmark.cases import CASES
 from hapjax_fitting.evidence import scaled
 from hapjax_fitting.findings import findings_of, lies
@@ -70,6 +70,14 @@ def test_a_path_that_is_made_to_rest_along_an_axis_gives_no_finding():
     path[100:, :, 2] = path[100, :, 2]
     force = forces(floor(), path) + 0.02 * np.random.default_rng(4).standard_normal(path.shape)
     assert found(Recording(hip=path, hip_t=t, force=force, force_t=t), friction=True) == (set(), "")
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_motions_that_come_again_look_the_same_at_other_times_but_no_better(seed):
+    """Strokes at one rate, and an object that swings: noise alone is told apart from a clock that is shifted."""
+    recording, case = speed.strokes(20, seed), CASES["critical area"]
+    assert found(recording, speed.floor(*speed.TRUTH), friction=True) == (set(), "")
+    assert ("shifted clock", "pose") not in found(case.recorded(seed), case.truth())[0]
 
 
 def test_positions_alone_give_no_finding():

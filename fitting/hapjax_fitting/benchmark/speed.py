@@ -26,8 +26,8 @@ def minute(seconds: float, seed: int = 0) -> dict[str, Any]:
     assert recording.hip is not None and recording.force is not None
     path, force = recording.hip[:, 0], recording.force[:, 0]
     paths = ("object.floor.surface.mu", "object.floor.surface.stiffness")
-    all_s, unasked = _least(_ready(lambda: fit(_floor(*START), recording, paths)), 3)
-    one_s, result = _least(_ready(lambda: fit(_floor(*START), recording, paths, starts=1)), 3)
+    all_s, unasked = _least(_ready(lambda: fit(floor(*START), recording, paths)), 3)
+    one_s, result = _least(_ready(lambda: fit(floor(*START), recording, paths, starts=1)), 3)
     by_hand_s, by_hand_found = _least(lambda: by_hand.fit(path, force, _NOISE, START), 2)
     return {
         "fit_s": all_s,
@@ -62,7 +62,7 @@ def numbers(counts: tuple[int, ...] = COUNTS) -> dict[str, Any]:
     taken = []
     for count in counts:
         recordings = [strokes(1, seed, _SHORT) for seed in range(count)]
-        run = _ready(lambda recordings=recordings: fit(_floor(*START), recordings, free))
+        run = _ready(lambda recordings=recordings: fit(floor(*START), recordings, free))
         taken.append(_least(run, 2)[0])
     exponent = np.log(taken[-1] / taken[-2]) / np.log(counts[-1] / counts[-2])
     return {"recordings": list(counts), "fit_s": taken, "exponent": float(exponent)}
@@ -77,7 +77,8 @@ def strokes(count: int, seed: int, steps: int = _STROKE) -> Recording:
     return Recording(hip=path, hip_t=t, force=force + _NOISE * random.standard_normal(force.shape), force_t=t)
 
 
-def _floor(mu: float, stiffness: float) -> Scene:
+def floor(mu: float, stiffness: float) -> Scene:
+    """A fixed floor."""
     return Scene(object={"floor": Object(Plane(), Surface(stiffness, mu=mu))})
 
 
