@@ -153,16 +153,16 @@ def fit(
                     raise KeyboardInterrupt if trace.interrupted else error  # noqa: B904  a stop is no consequence
                 ends = so_far(reduced, problem, trace)
             best = ends.free[ends.best]
-            lost = lost_at(best, residuals_at(best, problem), problem, scene, laid, dropped)
+            residuals = residuals_at(best, problem)
+            lost = lost_at(best, residuals, problem, scene, laid, dropped)
             # What the new numbers follow comes back, but not for ever: that might go round in circles.
             lost = lost if attempt < _MOST_RETURNS else dropped | lost
             enough = numbers_in(without(laid, lost).values()) > problem.fitted()
             if trace.interrupted or lost == dropped or not enough:
                 break
             dropped, begin = lost, best
-    result = _result(
-        problem, ends, trace, used, called, time.perf_counter() - began, noise, lost_of(lost, names)
-    )
+    seconds, lost = time.perf_counter() - began, lost_of(lost, names)
+    result = _result(problem, ends, residuals, trace, used, called, seconds, noise, lost)
     result = result if enough else of_nothing(result)
     friction = any(map(is_mu, parameters))
     measured_by = {name: result.sensors_of(name) for name in called}
@@ -269,6 +269,7 @@ def _better(problem: Problem, ends: Solutions) -> Array | None:
 def _result(
     problem: Problem,
     ends: Solutions,
+    residuals: Float[np.ndarray, " n"],
     trace: Trace,
     recordings: Sequence[Recording],
     names: Sequence[str],
@@ -277,8 +278,7 @@ def _result(
     lost: Mapping[str, int],
 ) -> FitResult:
     best = ends.best
-    free = ends.free[best]
-    residuals, matrix = residuals_at(free, problem), np.asarray(ends.jacobian)
+    free, matrix = ends.free[best], np.asarray(ends.jacobian)
     channels = channels_of(residuals, problem)
     size, variance, typical = _spread(problem, residuals, given_noise)
     variance = reduced_rows(channels, variance, len(free))
