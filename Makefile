@@ -32,7 +32,7 @@ clean:
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 .venv/.installed-demo: EXTRAS := fitting,devices,mesh
-.venv/.installed-dev: EXTRAS := fitting,devices,mesh,posterior,recording,bench,dev
+.venv/.installed-dev: EXTRAS := fitting,devices,falcon,inverse3,mesh,posterior,recording,bench,dev
 .venv/.installed-docs: EXTRAS := docs
 
 .venv/.installed-%: pyproject.toml constraints.txt | $(BIN)/python

@@ -4,11 +4,16 @@ from .device import Device as Device
 from .device import DeviceClosed as DeviceClosed
 from .device import DeviceError as DeviceError
 from .device import GimbalDevice as GimbalDevice
+from .device import RecoverableDevice as RecoverableDevice
+from .falcon import Falcon as Falcon
+from .falcon import attached_falcons as attached_falcons
+from .fingers import DeviceFault as DeviceFault
 from .operator import Hand as Hand
 from .operator import Operator as Operator
 from .operator import waypoints as waypoints
 from .passivity import Passivity as Passivity
 from .passivity import PassivityControl as PassivityControl
+from .placement import Placement as Placement
 from .safety import ForceGuard as ForceGuard
 from .sensor import ForceSensor as ForceSensor
 from .sensor import PoseTracker as PoseTracker

@@ -50,6 +50,18 @@ class Device(Protocol):
 
 
 @runtime_checkable
+class RecoverableDevice(Device, Protocol):
+    """A device that can come back after a fault while the loop goes on for the others."""
+
+    def recover(self) -> bool:
+        """One short step, of a millisecond or two, on the way back; whether the device is ready again.
+
+        A step that fails is no error: the next one begins anew. **Raises:** `DeviceClosed` where it is not open.
+        """
+        ...
+
+
+@runtime_checkable
 class GimbalDevice(Device, Protocol):
     """A device whose thimble hangs in an instrumented gimbal; a scene whose torsion is a gimbal needs them."""
 

@@ -1,8 +1,8 @@
 """The servo loop: read the fingers, step the scene, push the fingers, a thousand times a second."""
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 
 import jax.numpy as jnp
@@ -14,6 +14,7 @@ from hapjax import InputError, Scene
 from hapjax.recording import Recording
 
 from .device import Device, DeviceError, GimbalDevice
+from .fingers import DeviceFault, Fingers
 from .passivity import Passivity, PassivityControl
 from .realtime import MonotonicClock, Pacer, uncollected, undisturbed
 from .safety import ForceGuard
@@ -29,7 +30,8 @@ class ServoResult:
     `recording`; for each tick how late it began, `lateness_us`, and how long it worked, `compute_us` (T,) us;
     `missed` deadlines; how many force commands were `not_finite` or `limited`; `refused`, a sentence for each
     privilege that the system did not grant; `passivity`, what its control saw and did, `None` where it was off; `lost`,
-    at how many ticks the scene left the range of sense, and no force was put out.
+    at how many ticks the scene left the range of sense, and no force was put out; the `faults` of devices that came
+    back, or might have.
     """
 
     recording: Recording
@@ -41,6 +43,7 @@ class ServoResult:
     refused: tuple[str, ...]
     passivity: PassivityControl | None = None
     lost: int = 0
+    faults: tuple[DeviceFault, ...] = ()
 
     def summary(self) -> dict[str, dict[str, float] | int]:
         """p50, p99, p99.9 and max of lateness and of compute time in us; ticks done and ticks missed."""
@@ -83,7 +86,11 @@ def run(
     A scene whose torsion is a gimbal needs devices that are each a `GimbalDevice`; the recording then has the channel
     `gimbal`, exactly what the step got.
 
-    **Raises:** `InputError` for arguments out of range; `DeviceError` from a device, or where one reads NaN.
+    While a `RecoverableDevice` has a fault, its finger stays where it was and gets no force, and the others go on; its
+    force rises over 0.5 s once it is back.
+
+    **Raises:** `InputError` for arguments out of range; `DeviceError` from a device that is not a `RecoverableDevice`, or
+    that does not even open, and where one reads NaN.
     """
     ticks = _ticks(duration, rate)
     turned = scene.torsion is not None and scene.torsion.needs_gimbal
@@ -111,9 +118,10 @@ def run(
             packed.force(packed.call(packed.start, *(x.astype(packed.dtype) for x in (hip, *angles))))
         stack.enter_context(uncollected())
         refused = stack.enter_context(undisturbed() if realtime else nullcontext([]))
-        stack.enter_context(_let_go(devices))
+        fingers = Fingers(devices, rate)
+        stack.enter_context(fingers.let_go())
         pacer = Pacer(round(1e9 / rate), MonotonicClock()) if realtime else None
-        _loop(packed, devices, gimbals, guard, control, log, pacer)
+        _loop(packed, fingers, hip, gimbals, guard, control, log, pacer)
     missed = 0 if pacer is None else pacer.missed
     recording = log.recording()
     return ServoResult(
@@ -126,27 +134,28 @@ def run(
         tuple(refused),
         control,
         log.lost,
+        tuple(fingers.faults),
     )
 
 
 def _loop(
     packed: hapjax.PackedStep,
-    devices,
+    fingers: Fingers,
+    first: Float[np.ndarray, "F 3"],
     gimbals,
     guard: ForceGuard,
     control: PassivityControl | None,
     log: "_Log",
     pacer: Pacer | None,
 ) -> None:
-    memory, hip = packed.start, np.empty((packed.fingers, 3), packed.dtype)
+    memory, hip = packed.start, first.astype(packed.dtype)
     angle = np.empty(len(gimbals), packed.dtype)
     inputs = (hip, angle) if gimbals else (hip,)
     output = np.empty((packed.fingers, 3))
     for tick in range(len(log.hip)):
         late = 0 if pacer is None else pacer.wait()
         began = time.perf_counter_ns()
-        for finger, device in enumerate(devices):
-            hip[finger] = device.read()
+        fingers.read(tick, hip)
         for finger, device in enumerate(gimbals):
             angle[finger] = device.read_gimbal()
         if not np.isfinite(hip).all():
@@ -160,22 +169,12 @@ def _loop(
         if control is not None:
             damped = control(force, hip)
             force = force if lost else guard(damped)
-        for finger, device in enumerate(devices):
-            output[finger] = device.write(force[finger])
+        fingers.write(tick, force, output)
         if control is not None:
             control.put_out(output)
         log.add(tick, hip, angle, output, memory)
         log.lateness_us[tick] = late * 1e-3
         log.compute_us[tick] = (time.perf_counter_ns() - began) * 1e-3
-
-
-@contextmanager
-def _let_go(devices: Sequence[Device]) -> Iterator[None]:
-    """Write no force to every device at the end of the block, to the others also where one fails."""
-    with ExitStack() as stack:
-        for device in devices:
-            stack.callback(device.write, np.zeros(3))
-        yield
 
 
 class _Log:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hapjax_devices.falcon import kinematics
+from hapjax_devices.falcon.stance import Stance, counts_at, stance_of
 
 
 @pytest.fixture(scope="module")
@@ -51,36 +52,63 @@ def test_the_jacobian_is_that_of_the_closed_form(places):
         np.testing.assert_allclose(slope, closed_form(position), rtol=1e-9, atol=1e-9)
 
 
+def known(counts, near=None) -> Stance:
+    stance = stance_of(counts, near)
+    assert stance is not None
+    return stance
+
+
 def test_derivatives_of_forward_in_both_modes():
     counts = np.array([-110.0, 82.0, 0.0])
     angles = kinematics.AT_ZERO + kinematics.COUNT * counts
-    expected = np.linalg.inv(closed_form(kinematics.stance_of(counts).position))
+    expected = np.linalg.inv(closed_form(known(counts).position))
     both = jax.jit(lambda a: (jax.jacfwd(kinematics.forward)(a), jax.jacrev(kinematics.forward)(a)))
     for found in both(angles):
         np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
+def test_the_servos_plain_numbers_are_those_of_the_reference(places):
+    """There and back, angles and Jacobian, from the workspace's middle and from the position before."""
+    angles = np.asarray(jax.jit(jax.vmap(kinematics.inverse))(jnp.asarray(places)))
+    slopes = np.asarray(jax.jit(jax.vmap(kinematics.jacobian))(jnp.asarray(places)))
+    near = places[-1]
+    for position, angle, slope in zip(places, angles, slopes, strict=True):
+        counts = counts_at(position)
+        np.testing.assert_allclose(
+            kinematics.AT_ZERO + kinematics.COUNT * counts, angle, rtol=1e-12, atol=1e-12
+        )
+        for start in (None, near):
+            stance = known(counts, start)
+            np.testing.assert_allclose(stance.position, position, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(stance.jacobian, slope, rtol=1e-7, atol=1e-7)
+        near = position
+
+
 def test_forces_there_and_back(places):
     """What pushes the grip comes back, and the power of arms and grip is the same."""
     random = np.random.default_rng(1)
-    for position in places[:50]:
-        stance = kinematics.stance_of(kinematics.counts_at(position))
-        np.testing.assert_allclose(stance.position, position, atol=1e-9)
+    for position in places[:200]:
+        stance = known(counts_at(position))
         force, velocity = 8 * random.standard_normal(3), random.standard_normal(3)
         torques = stance.torques(force)
         np.testing.assert_allclose(stance.force(torques), force, atol=1e-9)
         np.testing.assert_allclose(torques @ (closed_form(position) @ velocity), force @ velocity, rtol=1e-9)
 
 
-def test_a_count_is_a_part_of_a_turn():
-    assert kinematics.counts_at(
-        kinematics.stance_of(np.array([40.0, -200.0, 7.0])).position
-    ) == pytest.approx([40, -200, 7], abs=1e-6)
-    low = kinematics.stance_of(np.zeros(3)).position
+def test_at_a_count_of_0_all_arms_are_at_35_degrees():
+    low = known(np.zeros(3)).position
     np.testing.assert_allclose(low[:2], 0, atol=1e-12)  # all legs alike: on the axis
     np.testing.assert_allclose(np.degrees(kinematics.inverse(jnp.asarray(low))), 35.0, rtol=1e-12)
 
 
-@pytest.mark.parametrize("counts", [(32767, -32768, 5), (3000, 0, 0), (0, -3000, 3000)])
-def test_counts_that_no_position_has_are_nan(counts):
-    assert np.isnan(kinematics.stance_of(np.array(counts)).position).all()
+@pytest.mark.parametrize("counts", [(32767, -32768, 5), (3000, 0, 0), (0, -3000, 3000), (np.nan, 0, 0)])
+def test_counts_that_no_position_has(counts):
+    assert stance_of(counts) is None
+    angles = kinematics.AT_ZERO + kinematics.COUNT * np.array(counts, float)
+    assert np.isnan(jax.jit(kinematics.forward)(angles)).all()
+
+
+def test_a_place_out_of_reach():
+    with pytest.raises(ValueError):
+        counts_at((0.0, 0.0, 0.25))
+    assert np.isnan(jax.jit(kinematics.inverse)(jnp.array([0.0, 0.0, 0.25]))).any()

@@ -1,1 +1,4 @@
 """The Novint Falcon: kinematics, the protocol on its serial line, its firmware's upload, the driver, and an emulator."""
+
+from .driver import Falcon as Falcon
+from .line import attached_falcons as attached_falcons

@@ -5,12 +5,12 @@ degrees of freedom* (PhD thesis, University of Maryland, 1997). The device's fra
 user, its origin in the middle of the base. An arm is the first link of a leg, and turns about an axis in the base.
 """
 
-from typing import NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Float
 
 ARM, ROD = 0.060, 0.1025  # m, the arm and the parallelogram after it (Stamper's a and b)
 OFFSET, ENDS = (
@@ -29,11 +29,20 @@ _NEWTON_STEPS = 8
 
 def inverse(position: Float[Array, "3"]) -> Float[Array, "3"]:
     """The arms' angles, rad, for a position of the grip, m, in the device's frame; NaN where it cannot be."""
-    outwards, sideways, w = _in_legs_frames(position)
-    across = ENDS + jnp.sqrt(ROD**2 - sideways**2)  # the parallelogram's length as seen in the leg's plane
-    far = jnp.hypot(outwards, w)
-    bend = jnp.arccos((far**2 + ARM**2 - across**2) / (2 * ARM * far))
-    return jnp.arctan2(w, outwards) - bend
+    return arm_angle(jnp, *_in_legs_frames(position))
+
+
+def arm_angle(functions: Any, outwards: Any, sideways: Any, along: Any) -> Any:
+    """The angle of an arm, rad, for its leg's end on the platform in the leg's own frame, m.
+
+    `functions` are those for the numbers at hand: `jnp` for arrays, `math` for one of each.
+    """
+    across = ENDS + functions.sqrt(
+        ROD**2 - sideways**2
+    )  # the parallelogram's length as seen in the leg's plane
+    far = functions.hypot(outwards, along)
+    bend = functions.acos((far**2 + ARM**2 - across**2) / (2 * ARM * far))
+    return functions.atan2(along, outwards) - bend
 
 
 def jacobian(position: Float[Array, "3"]) -> Float[Array, "3 3"]:
@@ -65,50 +74,6 @@ def _forward_jvp(primals, tangents):
     return position, _solve(jacobian(position), tangents[0])
 
 
-class Stance(NamedTuple):
-    """Where the grip is, and how the arms' torques act on it there.
-
-    `position` (3,) m in the device's frame, `jacobian` (3, 3) rad/m of the arms' angles by it, and `inverse` of that, m/rad.
-    What the encoders count that no position has is NaN throughout.
-    """
-
-    position: Float[np.ndarray, "3"]
-    jacobian: Float[np.ndarray, "3 3"]
-    inverse: Float[np.ndarray, "3 3"]
-
-    def torques(self, force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-        """The arms' torques, N m, that push the grip with `force`, N: J^-T F."""
-        return force @ self.inverse
-
-    def force(self, torques: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-        """The force on the grip, N, of the arms' `torques`, N m: J^T T."""
-        return torques @ self.jacobian
-
-
-def stance_of(counts: Shaped[np.ndarray, "3"]) -> Stance:
-    """The stance for what the three encoders count, whole numbers or not; in double precision whatever JAX's settings."""
-    with jax.enable_x64(True):
-        numbers = np.asarray(_stance(AT_ZERO + COUNT * np.asarray(counts, np.float64)))
-    return Stance(numbers[0], numbers[1:4], numbers[4:])
-
-
-def counts_at(position: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """What the encoders are at, in counts and not rounded, with the grip at `position` (m, the device's frame)."""
-    with jax.enable_x64(True):
-        return (np.asarray(_inverse(np.asarray(position, np.float64))) - AT_ZERO) / COUNT
-
-
-_inverse = jax.jit(inverse)
-
-
-@jax.jit
-def _stance(angles: Float[Array, "3"]) -> Float[Array, "7 3"]:
-    # One array: a servo loop waits for each output apart.
-    position = forward(angles)
-    slope = jacobian(position)
-    return jnp.concatenate([position[None], slope, _inverted(slope)])
-
-
 def _in_legs_frames(position):
     """Of each leg where its end of the platform is: outwards (Stamper's u + c), sideways (v + f), and along z (w)."""
     cos, sin = jnp.asarray(np.cos(LEGS), position.dtype), jnp.asarray(np.sin(LEGS), position.dtype)
@@ -126,10 +91,6 @@ def _too_long(position, angles):
 
 def _solve(matrix, vector):
     """The solution of a system of three equations, by Cramer's rule."""
-    return _inverted(matrix) @ vector
-
-
-def _inverted(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     a, b, c = matrix[:, 0], matrix[:, 1], matrix[:, 2]
     bc = jnp.cross(b, c)
-    return jnp.stack([bc, jnp.cross(c, a), jnp.cross(a, b)]) / jnp.dot(a, bc)
+    return jnp.stack([bc, jnp.cross(c, a), jnp.cross(a, b)]) @ vector / jnp.dot(a, bc)
