@@ -1,12 +1,16 @@
 """The settings that every test runs under, and shared fixtures. CONTRIBUTING.md says how to use them."""
 
+import gc
 import os
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
-# The suite compiles far more than it runs: XLA's older code generator, without optimisation, compiles in about half the
-# time. What runs for long asks for more: see `well_compiled` in tests/helpers.py.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
+# The suite compiles far more than it runs: XLA's older code generator, without optimisation and in one piece, compiles in
+# about a third of the time. What runs for long asks for more: see `well_compiled` in tests/helpers.py.
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1",
+)
 
 import hypothesis  # noqa: E402
 import jax  # noqa: E402
@@ -24,6 +28,9 @@ hypothesis.settings.load_profile("hapjax")
 
 X64 = jax.config.read("jax_enable_x64")
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+MOST_MAPS = (
+    25_000  # pieces of memory: Linux lets a process have 65,530, and a compiled program takes some dozens
+)
 
 
 def pytest_collection_modifyitems(config, items):
@@ -32,6 +39,16 @@ def pytest_collection_modifyitems(config, items):
         kept = [item for item in items if "dtype" in getattr(item, "fixturenames", ())]
         config.hook.pytest_deselected(items=[item for item in items if item not in kept])
         items[:] = kept
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_programs_are_let_go():
+    """All that the suite compiles is more than one process may map, and XLA ends a process that is refused a piece."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.is_file() and maps.read_bytes().count(b"\n") > MOST_MAPS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(params=["float64", "float32"] if X64 else ["float32"])
