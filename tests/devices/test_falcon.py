@@ -150,6 +150,21 @@ def test_positions_come_a_packet_late(rig):
     assert rig.tick()[0] == pytest.approx(0.001, abs=1e-4)
 
 
+def test_a_hand_that_is_faster_than_hands_are_is_not_believed(rig):
+    """2 m/s is followed; 20 mm in a millisecond is a number that got broken: the position before it holds for a tick."""
+    rig.tick()
+    for step in range(1, 8):
+        rig.emulated.processor.place = CENTRE + np.array([0.002 * step, 0.0, 0.0])
+        before = rig.tick()
+        assert before[0] == pytest.approx(0.002 * (step - 1), abs=1e-4)
+    last = rig.tick()
+    rig.emulated.processor.place = CENTRE - np.array([0.006, 0.0, 0.0])
+    np.testing.assert_allclose(rig.tick(), last, atol=1e-4)  # from before
+    np.testing.assert_allclose(rig.tick(), last, atol=1e-9)
+    with pytest.raises(DeviceError, match="no packet that makes sense"):
+        rig.tick()
+
+
 def test_a_hand_yields_to_the_force():
     clock = SteppedClock()
     hand = Operator(CENTRE[None], 1e-3, Hand(0.15, 400.0))
