@@ -11,11 +11,12 @@ from jaxtyping import Float
 
 from hapjax import InputError
 
-from ..device import DeviceClosed, DeviceError
+from ..device import DeviceError
+from ..driver import Driver, State
 from ..placement import Placement
-from ..realtime import Clock, MonotonicClock
+from ..realtime import Clock
 from . import line as ftdi
-from .firmware import State, read_firmware, upload
+from .firmware import read_firmware, upload
 from .kinematics import ARM, CENTRE, COUNT
 from .line import Line
 from .packets import BLUE, BUTTONS, GREEN, HOMED, HOMING, RED, Assembler, Packet, encode
@@ -37,7 +38,6 @@ _PATIENCE = 2_000_000  # ns that an overdue reply is waited for
 _POLLS = 8  # reads in one wait, whatever the clock says
 _PROBES, _PROBE_TIME = 3, 30_000_000  # ns
 _SILENCE = 100_000_000  # ns without a reply while it is homed
-_RETRY = 200_000_000  # ns between attempts to get it back
 
 _HOMING = "is not homed: pull its grip all the way out, then push it all the way in"
 
@@ -46,7 +46,7 @@ def _say(sentence: str) -> None:
     print(sentence, file=sys.stderr, flush=True)
 
 
-class Falcon:
+class Falcon(Driver):
     """A Novint Falcon on USB; see `Device` and `RecoverableDevice`. Needs the extra `falcon`.
 
     `open` finds it, gives it its firmware where none runs, and has the user home it. Its own frame is the world's as its
@@ -83,25 +83,17 @@ class Falcon:
     ):
         if not 0 < homing_time < np.inf:
             raise InputError(f"homing_time is {homing_time} s; allowed: above 0")
+        super().__init__(clock)
         self._image = None if firmware is None else read_firmware(Path(firmware))
         self._serial, self._backend, self._notify = serial, backend, notify
-        self._homing_time = round(1e9 * homing_time)
-        self._clock = clock or MonotonicClock()
+        self.name = ftdi.named(serial)
+        self._longest = {"homing": (round(1e9 * homing_time), f"{self.name} {_HOMING}")}
         placement = placement or Placement()
         self._rotation = placement.rotation() @ AXES  # of the device's axes into the world
         self._origin = np.asarray(placement.position) - self._rotation @ CENTRE
         self._line: Line | None = None
-        self._procedure: Iterator[State] | None = None
-        self.state: State = "closed"
-        self.fault: str | None = None
         self.buttons = (False,) * 4
-        self.output = _NONE
         self._lights = GREEN
-
-    @property
-    def name(self) -> str:
-        """What it is called in sentences for the user."""
-        return "the Falcon" if self._serial is None else f"the Falcon {self._serial}"
 
     def light(self, *colours: str) -> None:
         """Light the LEDs of these `colours` (`"green"`, `"blue"`, `"red"`), and no others, from the next write on."""
@@ -110,89 +102,8 @@ class Falcon:
             raise InputError(f"the Falcon has no LED {min(unknown)!r}; allowed: {', '.join(_COLOURS)}")
         self._lights = sum(_COLOURS[colour] for colour in set(colours))
 
-    def open(self) -> None:
-        """Find it, boot it where needed, and have it homed; see `Device.open`.
-
-        **Raises:** `DeviceError` with a sentence that says what is missing.
-        """
-        self.close()
-        try:
-            until = self._clock.now() + self._homing_time
-            for state in self._connected():
-                self.state = state
-                if state != "homing":
-                    until = self._clock.now() + self._homing_time
-                elif self._clock.now() > until:
-                    raise DeviceError(f"{self.name} {_HOMING}")
-        except BaseException as error:
-            self._let_go("closed", str(error))
-            raise
-        self.state = "running"
-
-    def recover(self) -> bool:
-        """One short step on the way back from a fault; see `RecoverableDevice.recover`."""
-        if self.state == "closed":
-            raise DeviceClosed(f"{self.name} is not open")
-        if self.state == "running":
-            return True
-        if self._procedure is None:
-            if self._clock.now() < self._again:
-                return False
-            self._procedure = self._connected()
-        try:
-            self.state = next(self._procedure)
-        except StopIteration:
-            self._procedure, self.fault, self.state = None, None, "running"
-        except DeviceError as error:
-            self._let_go("faulted", str(error))
-        return self.state == "running"
-
-    def read(self) -> Float[np.ndarray, "3"]:
-        """The newest position; see `Device.read`. A reply that is missing once is made up for by the one before it."""
-        line = self._running_line()
-        try:
-            self._take_reply(line)
-        except DeviceError as error:
-            self._let_go("faulted", str(error))
-            raise
-        return self._rotation @ self._stance.position + self._origin
-
-    def write(self, force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-        """Push with a force; see `Device.write`. One over the limits keeps its direction."""
-        line = self._running_line()
-        if not np.isfinite(force).all():
-            self._let_go("faulted", f"{self.name} was to put out {np.asarray(force).tolist()} N")
-            raise DeviceError(f"the force is {np.asarray(force).tolist()} N; allowed: finite numbers")
-        commands = _commands(self._stance, np.asarray(force, np.float64) @ self._rotation)
-        try:
-            self._send(line, commands)
-        except DeviceError as error:
-            self._let_go("faulted", str(error))
-            raise
-        self.output = self._rotation @ self._stance.force(commands / COMMANDS)
-        return self.output
-
-    def close(self) -> None:
-        """No force any more, and let go of it; see `Device.close`."""
-        self._let_go("closed", None)
-
-    def __enter__(self) -> "Falcon":
-        self.open()
-        return self
-
-    def __exit__(self, *exception) -> None:
-        self.close()
-
-    def _running_line(self) -> Line:
-        if self._line is None or self.state != "running":
-            raise DeviceClosed(f"{self.name} is not open" if self.fault is None else self.fault)
-        return self._line
-
-    def _let_go(self, state: State, fault: str | None) -> None:
-        """Stop the motors as far as the line allows, close it, and remember why."""
-        line, self._line, self._procedure = self._line, None, None
-        self.state, self.fault, self.output = state, fault, _NONE
-        self._again = self._clock.now() + _RETRY
+    def _release(self) -> None:
+        line, self._line = self._line, None
         if line is not None:
             with suppress(DeviceError):
                 line.write(encode((0, 0, 0), HOMING))
@@ -200,8 +111,7 @@ class Falcon:
 
     # The way to a running device ------------------------------------------------------------------------------
 
-    def _connected(self) -> Iterator[State]:
-        """Everything from a closed line to the first position, in steps of a millisecond or two."""
+    def _steps(self) -> Iterator[State]:
         yield "connecting"
         self._line = line = Line(self._serial, self._backend)
         if not (yield from self._probed(line)):
@@ -263,6 +173,17 @@ class Falcon:
         return None
 
     # Running --------------------------------------------------------------------------------------------------
+
+    def _read(self) -> Float[np.ndarray, "3"]:
+        assert self._line is not None
+        self._take_reply(self._line)
+        return self._rotation @ self._stance.position + self._origin
+
+    def _write(self, force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+        assert self._line is not None
+        commands = _commands(self._stance, force @ self._rotation)
+        self._send(self._line, commands)
+        return self._rotation @ self._stance.force(commands / COMMANDS)
 
     def _send(self, line: Line, commands: Float[np.ndarray, "3"]) -> None:
         self._commands, self._waiting = commands, True

@@ -11,6 +11,7 @@ from pathlib import Path
 from hapjax import InputError
 
 from ..device import DeviceError
+from ..driver import State
 from ..realtime import Clock
 from . import line as ftdi
 from .line import Line
@@ -26,7 +27,6 @@ _TRIES, _LOADS = 100, 10
 _ANSWER_TIME, _ECHO_TIME = 0.05, 1.0  # s
 _MOST = 1024  # bytes that are listened to in one go: a line that babbles is no answer
 
-State = str
 Steps = Generator[State, None, bytes]
 
 

@@ -75,7 +75,7 @@ class Line:
 
     def __init__(self, serial: str | None = None, backend: Any = None):
         self._device = _chosen(serial, backend)
-        self.name = _named(serial)
+        self.name = named(serial)
         self.clear_to_send = False
         self._buffer = need("usb.util", "falcon").create_buffer(_SIZE)
         try:
@@ -156,7 +156,7 @@ def _chosen(serial: str | None, backend: Any) -> Any:
         return devices[0]
     numbers = [_serial(device) for device in devices]
     if serial not in numbers:
-        raise DeviceError(f"{_named(serial)} is not attached; attached: {', '.join(map(str, numbers))}")
+        raise DeviceError(f"{named(serial)} is not attached; attached: {', '.join(map(str, numbers))}")
     return devices[numbers.index(serial)]
 
 
@@ -172,7 +172,8 @@ def _serial(device: Any) -> str | None:
         need("usb.util", "falcon").dispose_resources(device)
 
 
-def _named(serial: str | None) -> str:
+def named(serial: str | None) -> str:
+    """What a Falcon is called in sentences for the user."""
     return "the Falcon" if serial is None else f"the Falcon {serial}"
 
 
