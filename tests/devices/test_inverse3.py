@@ -1,0 +1,146 @@
+"""The Inverse3's driver against a stand-in for Haply's service."""
+
+import socket
+
+import numpy as np
+import pytest
+
+from hapjax import InputError
+from hapjax_devices import DeviceClosed, DeviceError, Inverse3, Placement, RecoverableDevice, inverse3
+from haply_service import HaplyService
+
+PUSH = np.array([1.0, -2.0, 1.5])
+SAID = {
+    "closed": "Haply's service has closed the connection",
+    "unplugged": "is not attached any more: Haply's service does not know 049D",
+}
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch):
+    """The service is a thread of a busy machine: what takes longer than in a loop is no fault."""
+    monkeypatch.setattr(inverse3, "_PATIENCE", 500_000_000)
+    monkeypatch.setattr(inverse3, "_SHAKE", 5.0)
+
+
+@pytest.fixture
+def service():
+    with HaplyService() as service:
+        yield service
+
+
+def test_positions_and_forces_in_the_world(service):
+    device = Inverse3(placement=Placement((0.1, 0.0, 0.2), (0.5, 0.5, 0.5, 0.5)), url=service.url)
+    assert isinstance(device, RecoverableDevice)
+    service.place = np.array([0.01, 0.02, 0.03])
+    with device:
+        # That quaternion turns x into y, y into z, and z into x.
+        np.testing.assert_allclose(device.read(), [0.13, 0.01, 0.22], atol=1e-12)
+        assert device.write(PUSH) == pytest.approx(PUSH)
+        device.read()
+        device.read()
+        assert service.messages[-1] == {
+            "inverse3": [
+                {
+                    "device_id": "049D",
+                    "commands": {"set_cursor_force": {"values": {"x": -2.0, "y": 1.5, "z": 1.0}}},
+                }
+            ]
+        }
+        over = device.write(100 * PUSH)
+        assert np.linalg.norm(over) <= device.force_limit and over == pytest.approx(
+            5 * PUSH / np.linalg.norm(PUSH)
+        )
+    with pytest.raises(DeviceClosed, match="the Inverse3 is not open"):
+        device.read()
+
+
+def test_a_moving_hand_is_followed(service):
+    with Inverse3(url=service.url) as device:
+        for step in range(20):
+            service.place = np.array([0.001 * step, 0.0, 0.0])
+            device.write(np.zeros(3))
+            device.read()
+        device.write(np.zeros(3))
+        device.read()
+        assert device.read()[0] == pytest.approx(0.019)
+
+
+def test_the_newer_message_format():
+    with HaplyService(field="vector") as service:
+        with Inverse3(message_format="3.5", url=service.url) as device:
+            device.write(PUSH)
+            device.read()
+            device.read()
+            np.testing.assert_array_equal(service.force["049D"], PUSH)
+
+
+@pytest.mark.parametrize("fault", HaplyService.FAULTS)
+def test_a_fault_while_it_pushes(service, fault):
+    """No force after two ticks, a sentence, and it comes back."""
+    device = Inverse3(url=service.url)
+    device.open()
+    device.write(PUSH)
+    device.read()
+    device.read()
+    assert service.force["049D"].any()
+    service.fault = fault
+    with pytest.raises(
+        DeviceError, match=SAID.get(fault, "no message that makes sense came in two ticks")
+    ) as error:
+        for _ in range(3):  # the first finds an answer from before
+            device.write(PUSH)
+            device.read()
+    assert device.state == "faulted" and device.fault == str(error.value) and not device.output.any()
+    with pytest.raises(DeviceClosed):
+        device.write(PUSH)
+    until(lambda: not service.force["049D"].any())
+    service.fault = None
+    until(device.recover)
+    assert device.fault is None
+    device.write(PUSH)
+    device.read()
+    until(lambda: device.read() is not None and service.force["049D"].any())
+    device.close()
+    until(lambda: not service.force["049D"].any())
+
+
+def until(done, most=20_000):
+    """Ask until it is so; the service is another thread, so that takes a while, but not for ever."""
+    for _ in range(most):
+        if done():
+            return
+        socket.socket().close()  # lets the other thread run
+    raise AssertionError("it never came so")
+
+
+@pytest.mark.parametrize(
+    ("ids", "fault", "wanted", "said"),
+    [
+        ((), None, None, "is not attached: Haply's service knows of none"),
+        (("A", "B"), None, None, "2 Inverse3 are attached; say which is meant by its id: A, B"),
+        (("A", "B"), None, "C", "the Inverse3 C is not attached; attached: A, B"),
+    ],
+)
+def test_what_cannot_be_opened(ids, fault, wanted, said):
+    with HaplyService(ids) as service:
+        device = Inverse3(wanted, url=service.url)
+        with pytest.raises(DeviceError, match=said):
+            device.open()
+        assert device.state == "closed"
+
+
+def test_a_service_that_is_not_there_or_says_nothing(service):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        url = f"ws://127.0.0.1:{free.getsockname()[1]}"
+    with pytest.raises(DeviceError, match=f"needs Haply's service at {url}: no program listens there"):
+        Inverse3(url=url).open()
+    service.fault = "silence"
+    with pytest.raises(DeviceError, match="Haply's service does not say what is attached"):
+        Inverse3(url=service.url).open()
+
+
+def test_a_force_limit_out_of_range():
+    with pytest.raises(InputError, match="force_limit is nan N"):
+        Inverse3(force_limit=float("nan"))
