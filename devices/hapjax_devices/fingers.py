@@ -45,6 +45,11 @@ class Fingers:
         self._tick = 0
         self.faults: list[DeviceFault] = []
 
+    @property
+    def down(self) -> int:
+        """A bit for each finger whose device is down."""
+        return sum(1 << finger for finger in self._down)
+
     def read(self, tick: int, hip: Shaped[np.ndarray, "F 3"]) -> None:
         """Put where the fingers are, m, into `hip`; one whose device is down stays where it was."""
         self._tick = tick

@@ -13,6 +13,7 @@ import hapjax
 from hapjax import InputError, Scene
 from hapjax.recording import Recording
 
+from .bus import About, Broadcast, TickPublisher
 from .device import Device, DeviceError, GimbalDevice
 from .fingers import DeviceFault, Fingers
 from .passivity import Passivity, PassivityControl
@@ -31,7 +32,7 @@ class ServoResult:
     `missed` deadlines; how many force commands were `not_finite` or `limited`; `refused`, a sentence for each
     privilege that the system did not grant; `passivity`, what its control saw and did, `None` where it was off; `lost`,
     at how many ticks the scene left the range of sense, and no force was put out; the `faults` of devices that came
-    back, or might have.
+    back, or might have; how many ticks the bus did not take, `unsent`.
     """
 
     recording: Recording
@@ -44,6 +45,7 @@ class ServoResult:
     passivity: PassivityControl | None = None
     lost: int = 0
     faults: tuple[DeviceFault, ...] = ()
+    unsent: int = 0
 
     def summary(self) -> dict[str, dict[str, float] | int]:
         """p50, p99, p99.9 and max of lateness and of compute time in us; ticks done and ticks missed."""
@@ -66,6 +68,7 @@ def run(
     pose_tracker: PoseTracker | None = None,
     realtime: bool = True,
     passivity: Passivity | None = None,
+    broadcast: Broadcast | None = None,
 ) -> ServoResult:
     """Let the fingers on `devices` feel a scene for `duration` seconds, and record it.
 
@@ -82,6 +85,7 @@ def run(
         number of times into the loop's. `None`: the recording is without that channel.
     - `realtime`: `False` runs as fast as it can, with the same recording on virtual devices.
     - `passivity`: keeps each device passive by damping it where its loop gives out energy. `None`: off, at no cost.
+    - `broadcast`: puts every tick on the bus, for a recorder or a display in a process of its own. `None`: off, at no cost.
 
     A scene whose torsion is a gimbal needs devices that are each a `GimbalDevice`; the recording then has the channel
     `gimbal`, exactly what the step got.
@@ -114,6 +118,12 @@ def run(
         log = _Log(ticks, rate, packed, force_sensor, pose_tracker, turned)
         guard = ForceGuard(np.array([device.force_limit for device in devices]))
         control = None if passivity is None else PassivityControl(passivity, 1 / rate, hip)
+        bus = None
+        if broadcast is not None:
+            places = _pose_places(packed).tolist() if scene.moving() else []
+            about = About.of(broadcast.run, rate, scene, packed, places, devices, len(gimbals))
+            bus = stack.enter_context(TickPublisher(about))
+            bus.wait_for(broadcast.readers, broadcast.patience)
         for _ in range(WARM_UP):
             packed.force(packed.call(packed.start, *(x.astype(packed.dtype) for x in (hip, *angles))))
         stack.enter_context(uncollected())
@@ -121,7 +131,7 @@ def run(
         fingers = Fingers(devices, rate)
         stack.enter_context(fingers.let_go())
         pacer = Pacer(round(1e9 / rate), MonotonicClock()) if realtime else None
-        _loop(packed, fingers, hip, gimbals, guard, control, log, pacer)
+        _loop(packed, fingers, hip, gimbals, guard, control, log, pacer, bus)
     missed = 0 if pacer is None else pacer.missed
     recording = log.recording()
     return ServoResult(
@@ -135,6 +145,7 @@ def run(
         control,
         log.lost,
         tuple(fingers.faults),
+        0 if bus is None else bus.unsent,
     )
 
 
@@ -147,6 +158,7 @@ def _loop(
     control: PassivityControl | None,
     log: "_Log",
     pacer: Pacer | None,
+    bus: TickPublisher | None,
 ) -> None:
     memory, hip = packed.start, first.astype(packed.dtype)
     angle = np.empty(len(gimbals), packed.dtype)
@@ -173,6 +185,11 @@ def _loop(
         if control is not None:
             control.put_out(output)
         log.add(tick, hip, angle, output, memory)
+        if bus is not None:
+            worked = (time.perf_counter_ns() - began) * 1e-3
+            missed = 0 if pacer is None else pacer.missed
+            counts = (missed, guard.not_finite, guard.limited, log.lost)
+            bus.publish(tick, began, late * 1e-3, worked, counts, fingers, hip, angle, output, memory)
         log.lateness_us[tick] = late * 1e-3
         log.compute_us[tick] = (time.perf_counter_ns() - began) * 1e-3
 

@@ -1,0 +1,8 @@
+"""The bus: what the servo loop says at each tick, over shared memory, to whoever listens."""
+
+from .about import About as About
+from .publisher import Broadcast as Broadcast
+from .publisher import TickPublisher as TickPublisher
+from .reader import Event as Event
+from .reader import TickReader as TickReader
+from .services import runs as runs

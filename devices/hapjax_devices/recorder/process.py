@@ -1,0 +1,75 @@
+"""The recorder as a process: how it is started, what it says, how it is stopped."""
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from hapjax import InputError
+
+from .record import record
+
+
+class RecorderProcess:
+    """A recorder in a process of its own, which the servo's end does not end, nor Ctrl-C: it writes what is left, and the
+    file's end.
+
+    **Arguments:** `run`, its name on the bus, which may be still to come for `patience` s; `path` of the new file.
+    """
+
+    def __init__(self, run: str, path: Path, patience: float = 20.0):
+        command = [sys.executable, "-m", __package__, run, str(path), repr(patience)]
+        self._process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+
+    @property
+    def pid(self) -> int:
+        """The number of its process."""
+        return self._process.pid
+
+    def stop(self) -> None:
+        """Ask it to write what there is, and to end."""
+        self._process.terminate()
+
+    def wait(self, timeout: float | None = None) -> tuple[int, str]:
+        """Its exit code (0, or 1 where the file could not be written on, 2 for bad input) and what it said at its end.
+
+        **Raises:** `subprocess.TimeoutExpired` where it goes on for longer than `timeout` s.
+        """
+        out, error = self._process.communicate(timeout=timeout)
+        said = (error or out).strip().splitlines()
+        return self._process.returncode, said[-1] if said else ""
+
+
+def main(arguments: list[str]) -> int:
+    """Record until the run ends or SIGTERM or Ctrl-C comes; returns the exit code."""
+    if len(arguments) not in (2, 3):
+        print("usage: python -m hapjax_devices.recorder RUN FILE.mcap [PATIENCE]", file=sys.stderr)
+        return 2
+    asked: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: asked.append(1))
+    try:
+        print(
+            record(arguments[0], Path(arguments[1]), lambda: bool(asked), patience=_seconds(*arguments[2:]))
+        )
+    except InputError as error:
+        print(f"hapjax: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        reason = error.strerror or error
+        print(
+            f"hapjax: {error.filename}: the recording ends here ({reason}), the servo goes on; "
+            "what was written before can be read, and hapjax recover makes it whole",
+            file=sys.stderr,
+        )
+        return 1
+    return 0
+
+
+def _seconds(text: str = "20") -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"patience is {text!r}; allowed: a number of s") from None

@@ -1,0 +1,201 @@
+"""The bus: what a servo says at each tick reaches whoever listens, and who does not holds nobody up."""
+
+import os
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import hapjax
+from hapjax import InputError
+from hapjax_devices import (
+    About,
+    Broadcast,
+    DeviceFault,
+    TickPublisher,
+    TickReader,
+    VirtualDevice,
+    run,
+    runs,
+)
+from hapjax_devices.fingers import Fingers
+
+
+def fingers(down=(), faults=()) -> Fingers:
+    """Fingers of which the devices of some are down."""
+    made = Fingers([], 400.0)
+    made._down, made.faults = dict.fromkeys(down, 0), list(faults)
+    return made
+
+
+FINE = fingers()
+
+
+def about(name, rate=400.0, memory=11, gimbals=2) -> About:
+    """Two fingers on one object, whose pose is at the end of the memory."""
+    device = {"type": "VirtualDevice", "force_limit": 8.5, "resolution": 3e-5}
+    places = (tuple(range(memory - 7, memory)),)
+    return About(
+        f"{name}-{os.getpid()}",
+        rate,
+        2,
+        gimbals,
+        memory,
+        "float32",
+        ("cube",),
+        places,
+        (device, device),
+        "[object.cube]\n",
+        {},
+        "",
+        os.getpid(),
+        time.time_ns(),
+        time.perf_counter_ns(),
+    )
+
+
+def numbers(tick, memory=11):
+    """What the fingers of a tick have, all different: hip, gimbal, force, memory."""
+    hip = (tick + np.arange(6) / 7).reshape(2, 3).astype(np.float32)
+    return hip, tick + np.array([0.25, 0.5]), -hip.astype(float) / 3, np.arange(memory) / 9 + tick
+
+
+def publish(publisher, ticks, state=FINE, counts=(0, 0, 0, 0), begin=None):
+    begin = time.perf_counter_ns() if begin is None else begin
+    for tick in ticks:
+        publisher.publish(tick, begin + tick * 2_500_000, 1.5, 20.25, counts, state, *numbers(tick))
+
+
+@pytest.fixture
+def publisher(request):
+    with TickPublisher(about(request.node.name[:60])) as made:
+        yield made
+
+
+def reader(publisher, **options):
+    """A reader of a publisher in this process, which has to look for it."""
+    thread = threading.Thread(target=publisher.wait_for, args=(publisher.readers() + 1, 5.0))
+    thread.start()
+    listening = TickReader(publisher.run, **options)
+    thread.join()
+    return listening
+
+
+def test_ticks_arrive_whole_and_in_order(publisher):
+    with reader(publisher) as listening:
+        publish(publisher, range(3))
+        publish(publisher, range(3, 5), fingers([1]), (1, 2, 3, 4))
+        ticks = listening.take()
+        assert ticks["tick"].tolist() == [0, 1, 2, 3, 4] and np.all(np.diff(ticks["time_ns"]) > 0)
+        for tick in range(5):
+            hip, gimbal, force, memory = numbers(tick)
+            np.testing.assert_array_equal(ticks["hip"][tick], hip)
+            np.testing.assert_array_equal(ticks["gimbal"][tick], gimbal)
+            np.testing.assert_array_equal(ticks["force"][tick], force)
+            np.testing.assert_array_equal(ticks["memory"][tick, :11], memory.astype(np.float32))
+        last = ticks[-1]
+        assert [last[n] for n in ("missed", "not_finite", "limited", "lost", "down")] == [1, 2, 3, 4, 2]
+        assert (last["lateness_us"], last["compute_us"]) == (1.5, 20.25)
+        assert (len(listening.take()), listening.lost, publisher.unsent) == (0, 0, 0)
+        said = About.from_json(listening.about.to_json())
+        assert said == listening.about and said.run in runs() and listening.is_alive()
+
+
+def test_a_reader_that_sleeps_loses_the_oldest_and_nobody_else_does(publisher):
+    with reader(publisher) as awake, reader(publisher) as asleep, reader(publisher, depth=1) as newest:
+        taken = []
+        for begin in range(0, 2000, 250):
+            publish(publisher, range(begin, begin + 250))
+            taken += awake.take()["tick"].tolist()
+        assert taken == list(range(2000)) and awake.lost == 0 and publisher.unsent == 0
+        late = asleep.take()["tick"]
+        np.testing.assert_array_equal(late, np.arange(1500, 2000))  # 1.25 s at 400 Hz
+        assert newest.take()["tick"].tolist() == [1999]
+        publish(publisher, range(2000, 2600))
+        assert (asleep.take()["tick"][0], asleep.lost, newest.take()["tick"][0]) == (2100, 100, 2599)
+        assert newest.lost == 599
+
+
+def test_a_reader_that_comes_late_gets_the_last_second(publisher):
+    publish(publisher, range(900))
+    with reader(publisher) as late:
+        np.testing.assert_array_equal(late.take()["tick"], np.arange(400, 900))
+        publish(publisher, range(900, 903))
+        assert late.take()["tick"].tolist() == [900, 901, 902] and late.lost == 0
+    with reader(publisher) as again:
+        assert again.take()["tick"][-1] == 902
+
+
+def test_what_was_said_can_be_read_after_the_end():
+    with TickPublisher(about("ended")) as publisher:
+        listening = reader(publisher)
+        publish(publisher, range(20))
+    assert publisher.run not in runs()
+    assert len(listening.take()) == 20
+    (end,) = listening.events()
+    assert (end.kind, end.tick, end.sentence) == ("end", 19, "the loop ended after 20 ticks")
+    listening.close()
+
+
+def test_runs_do_not_mix():
+    with TickPublisher(about("one")) as one, TickPublisher(about("other")) as other:
+        with reader(one) as listening:
+            publish(other, range(5))
+            publish(one, range(7, 9))
+            assert listening.take()["tick"].tolist() == [7, 8]
+        assert {one.run, other.run} <= set(runs())
+        with pytest.raises(InputError, match=f"{one.run}.*doctor"):
+            TickPublisher(about("one"))
+    with pytest.raises(InputError, match="no run 'nowhere' is on the bus; allowed: "):
+        TickReader("nowhere", patience=0.05)
+    for name in ("", "a/b", ".hidden", "x" * 101):
+        with pytest.raises(InputError, match="allowed: up to 100 letters"):
+            Broadcast(name)
+    with pytest.raises(InputError, match="readers is 7; allowed: 0 to 6"):
+        Broadcast("a", readers=7)
+
+
+def test_faults_are_told_once(publisher):
+    with reader(publisher) as listening:
+        broken = DeviceFault(1, 1, "the cable is out")
+        publish(publisher, range(2))
+        for ticks, down, faults in (
+            (range(2, 5), [1], [broken]),
+            (range(5, 7), [], [broken._replace(back=5)]),
+            (range(7, 8), [], [broken._replace(back=5), DeviceFault(7, 0, "short packets", 7)]),
+        ):
+            publish(publisher, ticks, fingers(down, faults))
+        found = [(e.kind, e.tick, e.finger, e.sentence) for e in listening.events()]
+        back = "the device of finger {} is back; its force rises"
+        assert found == [
+            ("fault", 2, 1, "the cable is out"),
+            ("back", 5, 1, back.format(1)),
+            ("fault", 7, 0, "short packets"),
+            ("back", 7, 0, back.format(0)),
+        ]
+
+
+def test_a_servo_puts_on_the_bus_what_it_records():
+    """As fast as it can: all 60 ticks are kept for a reader that looks once it is over."""
+    name, found = f"servo-{os.getpid()}", []
+    board = hapjax.Object(hapjax.Plane(), hapjax.Surface(600.0, mu=0.5, damping=0.5))
+    path = np.linspace([0.0, 0.0, 0.001], [0.01, 0.0, -0.004], 60)
+
+    def listen():
+        with TickReader(name) as listening:
+            while not any(e.kind == "end" for e in listening.events()):
+                time.sleep(0.01)
+            found.extend((listening.take(), listening.about))
+
+    thread = threading.Thread(target=listen)
+    thread.start()
+    scene = hapjax.Scene({"board": board})
+    result = run(scene, [VirtualDevice(path)], 0.06, realtime=False, broadcast=Broadcast(name, readers=1))
+    thread.join(10)
+    ticks, said = found
+    np.testing.assert_array_equal(ticks["tick"], np.arange(60))
+    np.testing.assert_array_equal(ticks["hip"], result.recording.hip)
+    assert np.max(ticks["force"][:, 0, 2]) > 0.5 and result.unsent == 0
+    assert (said.rate, said.objects, said.devices[0]["type"]) == (1000.0, (), "VirtualDevice")
+    assert 'shape = "plane"' in said.scene
