@@ -13,7 +13,7 @@ from hapjax import Scene, rotation, safe
 
 from .observation import Observation, played
 from .parameters import Parameter
-from .problem import NOTICEABLE, Problem, loss_at
+from .problem import NOTICEABLE, Problem, loss_at, losses_of, residuals_at
 from .sharding import Layout, each, gathered
 from .start import Starts
 from .transform import Logit
@@ -49,10 +49,23 @@ def cost_of_grip(free: Float[Array, " p"], problem: Problem) -> Float[np.ndarray
     way. Infinite for what is no mu.
     """
     cost = np.full(len(problem.parameters), np.inf)
-    loss = float(loss_at(free, problem))
-    for i, p in enumerate(problem.parameters):
-        if is_mu(p):
-            cost[i] = 2 * (float(loss_at(raised(free, p, i), problem)) - loss)
+    loss, residuals = float(loss_at(free, problem)), None
+    for stem in problem.stems():
+        first = problem.parameters[stem[0]]
+        if not is_mu(first):
+            continue
+        if first.place is None or problem.known():
+            for i in stem:
+                larger = raised(free, problem.parameters[i], i)
+                cost[i] = 2 * (float(loss_at(larger, problem)) - loss)
+            continue
+        # Each of them belongs to another recording: all are tried at once.
+        residuals = residuals_at(free, problem) if residuals is None else residuals
+        larger = free
+        for i in stem:
+            larger = raised(larger, problem.parameters[i], i)
+        grown = losses_of(residuals_at(larger, problem), problem) - losses_of(residuals, problem)
+        cost[stem] = 2 * grown[[problem.parameters[i].place or 0 for i in stem]]
     return cost
 
 

@@ -197,6 +197,14 @@ def with_values(scene: _R, parameters: tuple[Parameter, ...], values: Float[Arra
     return eqx.tree_at(lambda s: [_walk(s, path) for path in leaves], scene, list(leaves.values()))
 
 
+def stems_of(parameters: tuple[Parameter, ...]) -> list[list[int]]:
+    """The places of parameters, those of one path of all recordings together."""
+    rows: dict[str, list[int]] = {}
+    for i, p in enumerate(parameters):
+        rows.setdefault(p.stem, []).append(i)
+    return list(rows.values())
+
+
 def reported(parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
     """The parameters as results name them: mass, centre and inertia in place of a whole body's ten numbers."""
     found = []

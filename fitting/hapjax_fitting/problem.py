@@ -1,6 +1,6 @@
 """The least-squares problem of a fit: its residuals and the loss."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,8 +13,8 @@ from jaxtyping import Array, Float, Int
 from hapjax import Recording, Scene
 
 from .lengths import alike
-from .observation import PERFECT, Noise, Observation, observation_of, residuals
-from .parameters import Parameter, moves_surface, report, reported, values_of, with_values
+from .observation import PERFECT, Noise, Observation, Samples, observation_of, residuals
+from .parameters import Parameter, moves_surface, report, reported, stems_of, values_of, with_values
 from .priors import Priors
 from .robust import rooted, unrooted
 from .sensors import Sensors, Setup
@@ -69,27 +69,33 @@ class Problem(eqx.Module):
 
     def setup_at(self, free: Float[Array, " p"], place: Int[Array, ""] | int = 0) -> Setup:
         """The scene and the sensors with the free numbers put in, and with those of one recording."""
-        values = jnp.stack([p.transform.value(x) for p, x in zip(self.parameters, free, strict=True)])
         setup = self._given(place)
-        own = self.own(place)
-        if own is None:
-            return with_values(setup, self.parameters, values)
-        shown = tuple(self.parameters[i[0]] for i in self._stems())
-        return with_values(setup, shown, values[own])
+        if not self.apart:
+            values = [p.transform.value(x) for p, x in zip(self.parameters, free, strict=True)]
+            return with_values(setup, self.parameters, jnp.stack(values))
+        shown = tuple(self.parameters[i[0]] for i in self.stems())
+        return with_values(setup, shown, jnp.stack([self._value(i, free, place) for i in self.stems()]))
+
+    def _value(
+        self, stem: Sequence[int], free: Float[Array, " p"], place: Int[Array, ""] | int
+    ) -> Float[Array, ""]:
+        """One recording's value of a number of which it has its own, or which all share."""
+        which = place if len(stem) > 1 else 0
+        first, *others = (self.parameters[i].transform for i in stem)
+        if all(other == first for other in others):  # a few operations, however many recordings there are
+            return first.value(free[jnp.asarray(stem)[which]])
+        return jnp.stack([self.parameters[i].transform.value(free[i]) for i in stem])[which]
 
     def own(self, place: Int[Array, ""] | int) -> Int[Array, " q"] | None:
         """Which of the free numbers one recording depends on; `None`: on all."""
         if not self.apart:
             return None
-        of_each = [jnp.asarray(i)[place] if len(i) > 1 else jnp.asarray(i[0]) for i in self._stems()]
+        of_each = [jnp.asarray(i)[place] if len(i) > 1 else jnp.asarray(i[0]) for i in self.stems()]
         return jnp.stack(of_each)
 
-    def _stems(self) -> list[list[int]]:
+    def stems(self) -> list[list[int]]:
         """The places of the free numbers, those of one path of all recordings together."""
-        rows: dict[str, list[int]] = {}
-        for i, p in enumerate(self.parameters):
-            rows.setdefault(p.stem, []).append(i)
-        return list(rows.values())
+        return stems_of(self.parameters)
 
     def _given(self, place: Int[Array, ""] | int) -> Setup:
         """Scene, sensors and one recording's starts as they were before the fit."""
@@ -198,20 +204,36 @@ def residuals_of(
 
 def channels_of(stacked: Float[Any, " n"], problem: Problem) -> list[tuple[str, Float[np.ndarray, "_ _ _"]]]:
     """The residuals in one vector, taken apart again: of recordings of one length each, without those of priors."""
-    found, begin = [], 0
-    stacked = unrooted(np.asarray(stacked), problem.loss)
+    found = []
+    for key, group, samples, piece in pieces_of(unrooted(np.asarray(stacked), problem.loss), problem):
+        times = piece.shape[1]
+        taken = None if samples.taken is None else gathered(samples.taken)[: group.count]
+        lengths = [times] if taken is None else np.unique(taken).tolist()
+        found += [(key, piece[(slice(None) if taken is None else taken == n), :n]) for n in lengths]
+    return found
+
+
+def losses_of(stacked: Float[Any, " n"], problem: Problem) -> Float[np.ndarray, " R"]:
+    """The part that each recording has in the loss."""
+    found = np.zeros(1 + max(int(group.places.max()) for group in problem.groups))
+    for _, group, _, piece in pieces_of(np.asarray(stacked, np.float64), problem):
+        found[group.places] += 0.5 * np.sum(piece**2, axis=(1, 2))
+    return found
+
+
+def pieces_of(
+    stacked: Float[np.ndarray, " n"], problem: Problem
+) -> Iterator[tuple[str, Observation, Samples, Float[np.ndarray, "R N m"]]]:
+    """Of each channel of each group: name, group, what was measured, and its part of numbers that stand as residuals do."""
+    begin = 0
     for group in problem.groups:
         for key, samples in zip(KEYS, (group.force, group.pose, group.pose), strict=True):
             if samples is None:
                 continue
-            recordings, (times, things) = group.count, samples.value.shape[1:3]
-            size = recordings * times * things * 3
-            piece = stacked[begin : begin + size].reshape(recordings, times, things * 3)
-            taken = None if samples.taken is None else gathered(samples.taken)[:recordings]
-            lengths = [times] if taken is None else np.unique(taken).tolist()
-            found += [(key, piece[(slice(None) if taken is None else taken == n), :n]) for n in lengths]
+            times, things = samples.value.shape[1:3]
+            size = group.count * times * things * 3
+            yield key, group, samples, stacked[begin : begin + size].reshape(group.count, times, things * 3)
             begin += size
-    return found
 
 
 def loss_at(free: Float[Array, " p"], problem: Problem) -> Float[Array, ""]:

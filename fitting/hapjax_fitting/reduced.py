@@ -26,7 +26,8 @@ def reduced(free: Float[Array, " p"], problem: Problem) -> tuple[Float[Array, "m
     shared = free, replace(problem, groups=(), priors=None)
     blocks: dict[str, list[Array]] = {}
     for group in problem.groups:
-        side_by_side = at_once(group, len(free) + 1)
+        own = problem.own(0)
+        side_by_side = at_once(group, 1 + len(free if own is None else own))
         found_in = each(_of_one, shared, group, group.layout, side_by_side)
         for key in [key for key in KEYS if key in found_in]:
             blocks.setdefault(key, []).append(found_in[key].reshape(-1, len(free) + 1))

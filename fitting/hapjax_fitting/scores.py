@@ -1,13 +1,14 @@
 """How much less certain the data leave each number than white noise of one size a channel would."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .noise import correlation_time, lost
-from .problem import Problem, channels_of, residuals_at
+from .parameters import stems_of
+from .problem import Problem, channels_of, pieces_of, residuals_at
 from .uncertainty import Certainty
 
 _STEP = {np.dtype("float64"): 1e-4, np.dtype("float32"): 0.1}  # standard errors
@@ -33,29 +34,68 @@ def widened(
     **Arguments:** `slopes`, the Jacobian by the reported numbers, in few rows, those of priors last; `back`, the derivative
     of the free numbers by the reported ones.
     """
-    count, known, here = len(free), problem.known(), residuals
-    factors, steps, inverse = np.ones(count), np.sqrt(np.diag(certain.covariance)), certain.inverse
-    seen = np.flatnonzero(steps > 0)
-    columns = np.zeros((len(here) - known, count))
-    for i in seen.tolist():
-        step = _STEP[np.dtype(free.dtype)] * steps[i]
-        along = step * (np.eye(count)[i] if back is None else back[:, i])
-        there = residuals_at(free + jnp.asarray(along, free.dtype), problem)
-        columns[:, i] = ((there - here) / step)[: len(here) - known]
+    count, known, inverse = len(free), problem.known(), certain.inverse
+    factors, steps = np.ones(count), np.sqrt(np.diag(certain.covariance))
+    sizes = _STEP[np.dtype(free.dtype)] * steps
+    changes = _changes(free, problem, residuals, sizes, np.eye(count) if back is None else back)
     rows = slopes[len(slopes) - known :]
     # Where a touch begins or slides a step earlier, a difference quotient is no derivative.
-    square = np.sum(slopes.astype(np.float64) ** 2, axis=0)
-    wrong = np.abs(np.sum(columns**2, axis=0) + np.sum(rows**2, axis=0) - square) > _ALIKE * square
-    if wrong[seen].any():
+    square, found = (
+        np.sum(slopes.astype(np.float64) ** 2, axis=0),
+        np.sum(rows.astype(np.float64) ** 2, axis=0),
+    )
+    for _, _, own, quotients in _by_recording(residuals, changes, problem, sizes):
+        found[own] += np.sum(quotients**2, axis=(0, 1))
+    wrong = np.abs(found - square) > _ALIKE * square
+    if wrong[steps > 0].any():
         return factors
     variance = problem.weighed * np.sum((rows @ inverse) ** 2, axis=0)
-    pulls, taken = columns @ inverse, given or {}
-    pieces = [(key, np.where(lost(r)[..., None], 0, r)) for key, r in channels_of(here, problem)]
-    alike = {key: correlation_time([r for k, r in pieces if k == key]) for key, _ in pieces}
+    pieces, taken = channels_of(residuals, problem), given or {}
+    alike = {
+        key: correlation_time([np.where(lost(r)[..., None], 0, r) for name, r in pieces if name == key])
+        for key in {key for key, _ in pieces}
+    }
     surplus = problem.measured() / (problem.measured() - problem.fitted())
-    for i in seen.tolist():
-        for (key, r), (_, pull) in zip(pieces, channels_of(pulls[:, i], problem), strict=True):
-            at_each = np.sum(pull**2) if key in taken else np.sum(np.sum(r * pull, axis=2) ** 2)
-            variance[i] += at_each * (1 if key in taken else surplus * alike[key])
+    for key, r, own, quotients in _by_recording(residuals, changes, problem, sizes):
+        pull = quotients @ inverse[own]
+        if key in taken:
+            variance += np.sum(pull**2, axis=(0, 1))
+        else:
+            variance += surplus * alike[key] * np.sum(np.einsum("nm,nmp->np", r, pull) ** 2, axis=0)
+    seen = steps > 0
     factors[seen] = np.sqrt(np.maximum(1, variance[seen] / steps[seen] ** 2))
     return factors
+
+
+def _changes(
+    free: Float[Array, " p"],
+    problem: Problem,
+    residuals: Float[np.ndarray, " n"],
+    sizes: Float[np.ndarray, " p"],
+    directions: Float[np.ndarray, "p p"],
+) -> list[Float[np.ndarray, " n"]]:
+    """By how much a step of each reported number changes the residuals; those of one path of all recordings are moved at
+    once, as each has an influence on its own recording alone."""
+    found = []
+    for stem in stems_of(problem.reported):
+        along = directions[:, stem] @ sizes[stem]
+        found.append(residuals_at(free + jnp.asarray(along, free.dtype), problem) - residuals)
+    return found
+
+
+def _by_recording(
+    residuals: Float[np.ndarray, " n"],
+    changes: Sequence[Float[np.ndarray, " n"]],
+    problem: Problem,
+    sizes: Float[np.ndarray, " p"],
+) -> Iterator[tuple[str, np.ndarray, list[int], np.ndarray]]:
+    """Of each channel of each recording: its name, the residuals (N, m), 0 where it was lost, which numbers it depends on,
+    and the difference quotients by those (N, m, q)."""
+    stems = stems_of(problem.reported)
+    apart = (pieces_of(x, problem) for x in (residuals, *changes))
+    for (key, group, _, here), *there in zip(*apart, strict=True):
+        for row, place in enumerate(group.places.tolist()):
+            own = [stem[place] if len(stem) > 1 else stem[0] for stem in stems]
+            size = np.where(sizes[own] > 0, sizes[own], np.inf)
+            quotients = np.stack([piece[row] for *_, piece in there], axis=-1) / size
+            yield key, np.where(lost(here[row][None])[0][:, None], 0, here[row]), own, quotients

@@ -12,6 +12,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
+_WORTH = 1e-3  # of a residual's variance, for each number: what there is to gain from going on
 _ROUNDING = 10  # times the rounding error of one number: that of a sum of squares
 
 Residuals = Callable[[Float[Array, " p"], Any], Any]
@@ -174,9 +175,12 @@ def solve(
     `None`: all rows. Both must be the same function objects from call to call, else each call compiles anew.
     """
     # Compiled apart from the solver, which then has a single copy of the residuals in it.
-    totals = jnp.stack([2 * with_loss(residuals, start, args)[0] for start in starts])
+    found = [with_loss(residuals, start, args) for start in starts]
+    totals, worth = jnp.stack([2 * loss for loss, _ in found]), _WORTH * starts.shape[1] / len(found[0][1])
     reduced = eqx.Partial(jacobian, residuals) if reduced is None else reduced
-    return _solve(reduced, starts, places, totals, args, rtol, atol, max_steps)
+    return _solve(
+        reduced, starts, places, totals, args, rtol, atol, max_steps, jnp.asarray(worth, starts.dtype)
+    )
 
 
 @eqx.filter_jit
@@ -214,8 +218,38 @@ class _Search(optx.ClassicalTrustRegion):
         return size, accept | level, result, eqx.tree_at(lambda s: s.step_size, after, size)
 
 
+class _Solver(optx.LevenbergMarquardt):
+    """Which search ends: also one whose step was refused where next to nothing is left to gain.
+
+    A god-object that begins to slide a step earlier bends the loss. Close to the least loss such bends lead a search on,
+    smaller and smaller, by far less than the noise; among many recordings there is always one that has some. What is
+    left is told by the linear model: half the square of the part of the residuals that the Jacobian's columns span.
+    """
+
+    worth: Array = eqx.field(kw_only=True)  # a share of the loss
+
+    def __init__(self, *args, worth: Array, **options):
+        super().__init__(*args, **options)
+        self.worth, self.search = worth, _Search()
+
+    def terminate(self, fn, y, args, options, state, tags):
+        """Whether to stop, and how it went."""
+        done, result = super().terminate(fn, y, args, options, state, tags)
+
+        def is_spent():
+            residuals = state.f_info.residual
+            basis = jnp.linalg.qr(state.f_info.jac.as_matrix())[0]
+            left = jnp.matmul(residuals, basis, precision="highest")
+            return jnp.sum(left**2) < self.worth * jnp.sum(residuals**2)
+
+        refused = state.num_steps_since_acceptance > 0
+        return done | jax.lax.cond(refused, is_spent, lambda: jnp.zeros((), bool)), result
+
+
 @eqx.filter_jit
-def _solve(reduced: Reduced, starts, places, totals, args, rtol, atol, max_steps: int) -> Solutions:
+def _solve(
+    reduced: Reduced, starts, places, totals, args, rtol, atol, max_steps: int, worth: Array
+) -> Solutions:
     told = _told_whole(reduced)
 
     def one(start, place, total):
@@ -225,8 +259,7 @@ def _solve(reduced: Reduced, starts, places, totals, args, rtol, atol, max_steps
 
         # Levenberg-Marquardt begins with a damping of 1: right for a problem of about that size.
         scale = jax.lax.rsqrt(jnp.maximum(total, jnp.finfo(start.dtype).tiny))
-        solver = optx.LevenbergMarquardt(rtol=rtol, atol=atol, verbose=tell)
-        solver = eqx.tree_at(lambda s: s.search, solver, _Search())
+        solver = _Solver(rtol=rtol, atol=atol, verbose=tell, worth=worth)
         with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
             solution = optx.least_squares(
                 lambda x, _: scale * told(x, args),

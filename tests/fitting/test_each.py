@@ -3,13 +3,20 @@
 from dataclasses import replace
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
-from fitting_cases import MU, SIGMA, STIFFNESS, floor, recorded
+from fitting_cases import MU, SIGMA, STIFFNESS, floor, problem_for, recorded
 from hapjax import InputError
 from hapjax_fitting import fit
+from hapjax_fitting.grip import cost_of_grip, raised
+from hapjax_fitting.noise import correlation_time
+from hapjax_fitting.problem import channels_of, loss_at, residuals_at, stacked_residuals, with_loss
 from hapjax_fitting.replay import replay
+from hapjax_fitting.scores import widened
+from hapjax_fitting.solve import jacobian
+from hapjax_fitting.uncertainty import certainty
 
 NAMES, FREE = ["dry", "wet"], [MU, STIFFNESS]
 OPTIONS: dict[str, Any] = {"noise": {"force": SIGMA}, "starts": 2}
@@ -69,6 +76,37 @@ def test_sensors_of_each():
         estimate, error = found(result, f"{bias} @ {name}")
         assert abs(estimate - truth) < 4 * error
         assert np.asarray(result.sensors_of(name).force_bias)[1] == estimate
+
+
+def test_numbers_of_many_recordings_are_looked_at_all_at_once(monkeypatch):
+    """What a larger mu costs, and how much wider noise that grows with the force makes intervals: as one by one."""
+    recordings = [recorded(floor(), i, sigma=SIGMA * (1 + i), steps=60) for i in range(3)]
+    assert recordings[2].force is not None
+    grown = recordings[2].force * np.random.default_rng(0).normal(1, 0.1, recordings[2].force.shape)
+    recordings[2] = replace(recordings[2], force=grown)
+    problem = problem_for(floor(), recordings, FREE, FREE)
+    free, calls = problem.start() + 0.01, []
+    residuals = residuals_at(free, problem)
+    matrix = np.asarray(jax.jit(lambda x, p: jacobian(stacked_residuals, x, p)[0])(free, problem))
+    known = certainty(matrix, np.ones(len(matrix)), np.full(6, np.inf), np.ones(6, bool))
+    pulls = (matrix @ known.inverse).reshape(-1, 3, 6) * residuals.reshape(-1, 3)[..., None]
+    alike = correlation_time([r for _, r in channels_of(residuals, problem)])
+    variance = np.sum(np.sum(pulls, axis=1) ** 2, axis=0) * alike * len(matrix) / (len(matrix) - 6)
+    losses = [loss_at(raised(free, p, i), problem) for i, p in enumerate(problem.parameters[:3])]
+    one_by_one = 2 * (np.array(losses) - loss_at(free, problem))
+
+    def counted(*args):
+        calls.append(args)
+        return with_loss(*args)
+
+    monkeypatch.setattr("hapjax_fitting.problem.with_loss", counted)
+    np.testing.assert_allclose(cost_of_grip(free, problem)[:3], one_by_one, rtol=1e-9)
+    factors = widened(free, problem, residuals, matrix, None, known, None)
+    assert len(calls) == 3 + 2
+    np.testing.assert_allclose(
+        factors, np.sqrt(np.maximum(1, variance / np.diag(known.covariance))), rtol=1e-3
+    )
+    assert (factors > 1.1).any()
 
 
 @pytest.mark.parametrize(

@@ -26,12 +26,7 @@ DRAWS = {
     "critical area": 200,
     "mass, centre, inertia": 200,
 }
-FROM_AFAR = {
-    "mu, stiffness": 100,
-    "static, kinetic, viscous": 100,
-    "critical area": 20,
-    "mass, centre, inertia": 20,
-}
+FROM_AFAR = dict.fromkeys(DRAWS, 100)
 _QUICK = 50  # times fewer recordings
 _MINUTE, _GRASP = 60.0, 20.0  # s
 
