@@ -1,5 +1,11 @@
 """Haptic devices, virtual ones too, and the servo loop that lets fingers feel a scene through them."""
 
+from .bus import About as About
+from .bus import Broadcast as Broadcast
+from .bus import Event as Event
+from .bus import TickPublisher as TickPublisher
+from .bus import TickReader as TickReader
+from .bus import runs as runs
 from .device import Device as Device
 from .device import DeviceClosed as DeviceClosed
 from .device import DeviceError as DeviceError
@@ -15,6 +21,8 @@ from .operator import waypoints as waypoints
 from .passivity import Passivity as Passivity
 from .passivity import PassivityControl as PassivityControl
 from .placement import Placement as Placement
+from .recorder import RecorderProcess as RecorderProcess
+from .recorder import record as record
 from .safety import ForceGuard as ForceGuard
 from .sensor import ForceSensor as ForceSensor
 from .sensor import PoseTracker as PoseTracker
