@@ -206,10 +206,7 @@ class Inverse3(Driver):
         websocket, messages, seconds = self._websocket, [], wait * 1e-9
         try:
             while len(messages) < _MESSAGES and select.select([self._socket.sock], [], [], seconds)[0]:
-                code, data = self._socket.recv_data()
-                if code == websocket.ABNF.OPCODE_CLOSE:
-                    raise self._gone()
-                messages.append(_parsed(data))
+                messages.append(_parsed(self._socket.recv_data()[1]))
                 seconds = 0.0
         except websocket.WebSocketTimeoutException:
             pass  # a part of a message: the rest comes later
