@@ -1,4 +1,4 @@
-"""A loop whose reverse-mode gradient remembers little."""
+"""Loops whose reverse-mode gradients remember little."""
 
 import math
 from collections.abc import Callable
@@ -6,9 +6,29 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+from jax.ad_checkpoint import checkpoint_name
 
 Carry = TypeVar("Carry")
 Out = TypeVar("Out")
+
+
+_DECIDED = "decided"
+
+
+def decided(x: Any) -> Any:
+    """Choices, of a face say, that a gradient through `computed_again` remembers: few bytes, and much work to find."""
+    return checkpoint_name(x, _DECIDED)
+
+
+def computed_again(
+    body: Callable[[Carry, Any], tuple[Carry, Out]],
+) -> Callable[[Carry, Any], tuple[Carry, Out]]:
+    """The body of a loop, of which a reverse-mode gradient remembers what goes in and what was `decided`.
+
+    The rest is sooner computed again than written down.
+    """
+    policy = jax.checkpoint_policies.save_only_these_names(_DECIDED)
+    return jax.checkpoint(body, prevent_cse=False, policy=policy)
 
 
 def scan_in_segments(
@@ -16,7 +36,7 @@ def scan_in_segments(
 ) -> tuple[Carry, Out]:
     """`jax.lax.scan`, of which a reverse-mode gradient keeps about 2 sqrt(T) of T carries.
 
-    **Arguments:** `body`, which a gradient computes again: a function under `jax.checkpoint`.
+    **Arguments:** `body`, which a gradient computes again: one that is `computed_again`.
     """
     steps = len(jax.tree.leaves(inputs)[0])
     root = math.isqrt(max(steps, 1) - 1) + 1

@@ -169,7 +169,8 @@ def _points_on(
     a, b = (pair[i] for i in way)
     shape, radius = b.placed.shape, a.placed.shape.rounding()
     own, faces = _points_of(a, b), None
-    points = b.placed.to_local(a.placed.to_world(own))
+    places = a.placed.to_world(own)
+    points = b.placed.to_local(places)
     if radius is None and gods.own is not None:
         gods = _gone_on(gods, own, a, b)
     if radius is None:
@@ -192,7 +193,9 @@ def _points_on(
         flat = near.face != 0  # the side is met by the circles
         near = eqx.tree_at(lambda n: n.depth, near, jnp.where(flat, near.depth, 0))
         faces = flat if faces is None else faces & flat
-    places, names = b.placed.to_world(points), (contact.between[way[0]], contact.between[way[1]])
+    if radius is not None:
+        places = b.placed.to_world(points)
+    names = contact.between[way[0]], contact.between[way[1]]
     slip = rotation.turn_back(b.placed.matrix, a.velocity_at(places) - b.velocity_at(places))
     meeting = god_object.meet(contact, gods, near, points, slip if contact.needs_velocity() else None)
     kept, matrix = None if gods.own is None else own, b.placed.matrix

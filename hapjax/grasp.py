@@ -9,8 +9,11 @@ from .body import Wrench
 
 def residual(forces: Float[Array, "n 3"], arms: Float[Array, "n 3"]) -> Wrench:
     """Sum of forces (N) and of torques (N m) that act at `arms` (m) from the centre of mass (MHS section 3)."""
-    moments = jnp.sum(arms[:, :, None] * forces[:, None, :], axis=0)
-    return Wrench(jnp.sum(forces, axis=0), rotation.cross_of_dyads(moments))
+    # One sum for both. A force is a sum itself, of a turned one's components; the compiler would make one sum of the two,
+    # and compute the touches in it once for each component.
+    levers = jnp.concatenate([jnp.ones_like(arms[:, :1]), arms], axis=1)
+    moments = jnp.sum(levers[:, :, None] * forces[:, None, :], axis=0)
+    return Wrench(moments[0], rotation.cross_of_dyads(moments[1:]))
 
 
 def pivot(

@@ -70,6 +70,16 @@ class Link(eqx.Module):
 
     def slip(self, rates: Rates, centres: Mapping[str, Array]) -> Float[Array, "n 3"]:
         """The velocity (m/s) of the points against the surface that objects moving at `rates` give them."""
+        return rotation.turn_back(self.matrix, self._passing(rates, centres))
+
+    def read(self, rates: Rates, centres: Mapping[str, Array]) -> "Link":
+        """The same touch read where the objects move at `rates`."""
+        velocity = self._passing(rates, centres)
+        velocity = velocity if self.drive is None else velocity + self.drive
+        return self._with(velocity=rotation.turn_back(self.matrix, velocity))
+
+    def _passing(self, rates: Rates, centres: Mapping[str, Array]) -> Float[Array, "n 3"]:
+        """The velocity (m/s) of the points against the surface, but for the fingers' own, in the world frame."""
         velocity = jnp.zeros_like(self.place)
         for name, sign in ((self.of, 1), (self.on, -1)):
             if name is not None and name in centres:
@@ -78,7 +88,7 @@ class Link(eqx.Module):
                 if spin is not None:
                     arms = self.place - centres[name][None]
                     velocity = velocity + sign * rotation.turn(rotation.cross_matrix(spin), arms)
-        return rotation.turn_back(self.matrix, velocity)
+        return velocity
 
     def at(self, slip: Float[Array, "n 3"]) -> "Link":
         """The same touch read at another velocity of the objects."""

@@ -8,12 +8,15 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from . import body as rigid
 from . import contact as pairs
 from . import god_object, grasp, rotation, safe
-from ._segments import scan_in_segments
+from ._segments import computed_again, scan_in_segments
+from ._state import SENSE, flat, in_sense
+from ._state import Reply as Reply
+from ._state import State as State
 from .body import Body, Motion, Wrench
 from .contact import Mover, Placed
 from .errors import InputError, within
@@ -23,44 +26,6 @@ from .link import Link, join
 from .scene import Scene, dtype_of
 from .shape import Shape
 from .torsion import Grip, Held, Torsion, Twist
-
-_SENSE = 1e12  # beyond it, in any SI unit, no scene makes sense, and the squares are near the end of float32
-
-
-class State(eqx.Module):
-    """Everything that a step remembers.
-
-    `hip` (F, 3) m, world frame, is that of the last step, kept only where a velocity or substeps need it; `motion` of
-    each moving object, `finger` the god-objects of all fingers on each touchable object (in its frame), `contact` those
-    of each contact's points and crossing edges (in the frame of the object that they touch), all by name. Of torsion:
-    `god_angle` (F,) rad, the twist of the fingers on each object that turns, under a model that remembers it; `gimbal`
-    (F,) rad, that of the last step, under a model that reads gimbals.
-    """
-
-    hip: Float[Array, "F 3"] | None
-    motion: dict[str, Motion]
-    finger: dict[str, GodObject]
-    contact: dict[str, tuple[GodObject, ...]]
-    god_angle: dict[str, Float[Array, "F"]] = eqx.field(default_factory=OrderedDict)
-    gimbal: Float[Array, "F"] | None = None
-
-
-class Reply(eqx.Module):
-    """What a step answers.
-
-    `force` (F, 3) N on the fingers, world frame; `pose` (O, 7) x y z qw qx qy qz of the moving objects in the scene's
-    order after the step, m; `touch` and `contact` say for each touchable object and each contact what each finger or
-    contact point did, in the touched object's frame.
-
-    `lost`: the step left the range of sense (a number that is not finite, or above 1e12). Then the forces are 0, and
-    the objects stay where they were and stand still.
-    """
-
-    force: Float[Array, "*T F 3"]
-    pose: Float[Array, "*T O 7"]
-    touch: dict[str, Touch]
-    contact: dict[str, Touch]
-    lost: Bool[Array, "*T"]
 
 
 def init(scene: Scene, hip: Float[Any, "F 3"], gimbal: Float[Any, "..."] | None = None) -> State:
@@ -111,6 +76,12 @@ def step(
 
     **Arguments:** `dt` in s, above 0; `None`: the scene's integrator's. `gimbal` (F,) rad as for `init`.
     """
+    return _step(*_known(scene), state, hip, dt, gimbal)
+
+
+def _step(
+    scene: Scene, fixed: dict[str, Placed], state: State, hip: Any, dt: Any, gimbal: Any
+) -> tuple[State, Reply]:
     hip = _as_hip(scene, hip)
     gimbal = _as_gimbal(scene, gimbal, hip)
     dt = scene.integrator.dt if dt is None else jnp.asarray(dt, hip.dtype)
@@ -119,7 +90,7 @@ def step(
     count = scene.integrator.substeps
     drive = None if state.hip is None else (hip - state.hip) / dt
     if count == 1:
-        return _substep(scene, state, hip, drive, turning, dt)
+        return _substep(scene, fixed, state, hip, drive, turning, dt)
     if state.hip is None:
         raise InputError(
             "the state was made for a scene without substeps; allowed: a state from init of this scene"
@@ -128,10 +99,10 @@ def step(
     part = 0.5 if scene.integrator.reads_middle else 1.0  # of a substep, at which its forces are read
 
     def body(carry: State, fraction: Float[Array, ""]):
-        return _substep(scene, carry, start + fraction * (hip - start), drive, turning, short)
+        return _substep(scene, fixed, carry, start + fraction * (hip - start), drive, turning, short)
 
     state, replies = jax.lax.scan(body, state, (jnp.arange(count, dtype=hip.dtype) + part) / count)
-    state = dataclasses.replace(state, hip=jnp.where(jnp.abs(hip) <= _SENSE, hip, start))
+    state = dataclasses.replace(state, hip=jnp.where(jnp.abs(hip) <= SENSE, hip, start))
     lost, reply = jnp.any(replies.lost), jax.tree.map(lambda x: x[-1], replies)
     return state, dataclasses.replace(reply, force=jnp.where(lost, 0, reply.force), lost=lost)
 
@@ -160,16 +131,31 @@ def rollout(
             f"gimbals has the shape {gimbals.shape}; allowed: {hips.shape[:2]}, an angle for each of hips"
         )
     scan = scan_in_segments if checkpoint else jax.lax.scan
+    known, (numbers, build) = _known(scene), flat(state)
 
     def one(carry, x):
-        return step(scene, carry, x[0], dt, x[1])
+        after, reply = _step(*known, build(*carry), x[0], dt, x[1])
+        return (flat(after)[0], after.hip), reply
 
-    # A reverse-mode gradient remembers the states alone: a step is sooner computed again than written down.
-    return scan(jax.checkpoint(one, prevent_cse=False), state, (hips, gimbals))
+    carry, replies = scan(computed_again(one), (numbers, state.hip), (hips, gimbals))
+    return build(*carry), replies
+
+
+def _known(scene: Scene) -> tuple[Scene, dict[str, Placed]]:
+    """The scene with its bodies' inertias, and where fixed objects are: what a loop of steps need not find anew in each."""
+    turning = [name for name in scene.moving() if _parts(scene, name)[0].rotation]
+
+    def where(scene: Scene):
+        return [_parts(scene, name)[0].inertia for name in turning]
+
+    inertias = [rigid.inertia_of(*_parts(scene, name)) for name in turning]
+    fixed = {name: _placed(scene, {}, name) for name in scene.object if name not in scene.moving()}
+    return eqx.tree_at(where, scene, inertias, is_leaf=lambda x: x is None), fixed
 
 
 def _substep(
     scene: Scene,
+    fixed: dict[str, Placed],
     state: State,
     hip: Float[Array, "F 3"],
     drive: Float[Array, "F 3"] | None,
@@ -180,7 +166,7 @@ def _substep(
         (name, scene.integrator.drift(*_parts(scene, name), motion, scene.world.gyroscopic, dt))
         for name, motion in state.motion.items()
     )
-    placed = {name: _placed(scene, motions, name) for name in scene.object}
+    placed = fixed | {name: _placed(scene, motions, name) for name in motions}
     centres = {name: _centre(scene, placed[name], name) for name in motions}
     rates = {name: (motion.velocity, motion.spin) for name, motion in motions.items()}
 
@@ -242,7 +228,7 @@ def _substep(
     )
     angles = OrderedDict((name, found.angle) for name, found in held.items() if found.angle is not None)
     kept = State(None if state.hip is None else hip, after, gods, contacts, angles, state.gimbal)
-    return _in_sense(state, kept, _reply(hip, after, fingers, felt, answers))
+    return in_sense(state, kept, _reply(hip, after, fingers, felt, answers))
 
 
 def _reply(hip, after: dict[str, Motion], fingers: dict[str, Link], felt, answers) -> Reply:
@@ -260,29 +246,6 @@ def _reply(hip, after: dict[str, Motion], fingers: dict[str, Link], felt, answer
     return Reply(force, poses, touches, collisions, jnp.zeros((), bool))
 
 
-def _in_sense(before: State, after: State, reply: Reply) -> tuple[State, Reply]:
-    """The state and reply after a step, or the state before it and no forces where the step was lost."""
-    numbers = jax.tree.leaves((after, reply.force))
-    fine = jnp.all(jnp.abs(jnp.concatenate([x.ravel() for x in numbers])) <= _SENSE)  # False of NaN
-    still = OrderedDict(
-        (name, dataclasses.replace(m, velocity=0 * m.velocity, spin=None if m.spin is None else 0 * m.spin))
-        for name, m in before.motion.items()
-    )
-    pose = [jnp.concatenate([m.position, m.orientation])[None] for m in still.values()]
-
-    def pick(new, old):
-        return jnp.where(fine, new, old)
-
-    # Where the fingers are goes on, or a single mad sample would make every later step a leap, too.
-    hip = None
-    if before.hip is not None and after.hip is not None:
-        hip = jnp.where(jnp.abs(after.hip) <= _SENSE, after.hip, before.hip)
-    state = jax.tree.map(pick, after, dataclasses.replace(before, motion=still, hip=hip))
-    touch, contact = jax.tree.map(lambda x: jnp.where(fine, x, 0), (reply.touch, reply.contact))
-    poses = pick(reply.pose, jnp.concatenate(pose)) if pose else reply.pose
-    return state, Reply(jnp.where(fine, reply.force, 0), poses, touch, contact, ~fine)
-
-
 def _fingers_on(scene, state, placed: Placed, name: str, hip, drive, rates, centres) -> Link:
     """All fingers on one object."""
     surface, gods = _surface(scene, name), state.finger[name]
@@ -293,7 +256,7 @@ def _fingers_on(scene, state, placed: Placed, name: str, hip, drive, rates, cent
         near, faces = god_object.or_apart(placed.shape, near, local)
     meeting = god_object.meet(surface, gods, near, local, None)
     link = Link(meeting, local, hip, placed.matrix, track, gods.depth, drive, None, faces, None, name)
-    return link.at(link.slip(rates, centres)) if surface.needs_velocity() else link
+    return link.read(rates, centres) if surface.needs_velocity() else link
 
 
 def _contacts(scene, state, motions, placed, name: str, dt) -> list[Link]:

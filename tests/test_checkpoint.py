@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hapjax
-from hapjax import Body, Object, Scene, SemiImplicit, Sphere, Surface, World
+from hapjax import Body, Box, Object, Scene, SemiImplicit, Sphere, Surface, World
 from hapjax.integrate import Implicit
 from helpers import order
 
@@ -62,3 +62,14 @@ def test_memory_grows_as_the_square_root_of_the_steps():
 
     assert order(counts, [temporary(n, True) for n in counts]) <= 0.6
     assert temporary(400, False) > 3 * temporary(400, True)
+
+
+def test_a_gradient_remembers_which_face_holds_and_does_not_find_it_again():
+    thing = Object(Box((0.04,) * 3), Surface(300.0, mu=0.1, damping=1.0), Body(0.2))
+
+    def place(scene, hips):
+        end, _ = hapjax.rollout(scene, hapjax.init(scene, hips[0]), hips)
+        return jnp.sum(end.motion["box"].position ** 2)
+
+    # In the loop of the steps, and not in that of their derivatives.
+    assert str(jax.make_jaxpr(jax.grad(place))(Scene({"box": thing}), pinch(3))).count("argmax[") == 1

@@ -201,3 +201,9 @@ def test_a_state_of_another_scene_is_refused():
     cut = hapjax.Scene(scene.object, integrator=hapjax.SemiImplicit(substeps=2))
     with pytest.raises(hapjax.InputError, match="substeps"):
         hapjax.step(cut, hapjax.init(scene, np.zeros((1, 3))), np.zeros((1, 3)))
+
+
+def test_a_scene_without_anything_to_touch_has_no_force(dtype):
+    scene = hapjax.cast(hapjax.Scene({"floor": hapjax.Object(hapjax.Plane())}), dtype)
+    end, reply = hapjax.rollout(scene, hapjax.init(scene, np.zeros((2, 3))), jnp.ones((3, 2, 3), dtype))
+    assert not jax.tree.leaves(end) and not np.any(reply.force) and not np.any(reply.lost)

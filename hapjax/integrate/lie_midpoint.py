@@ -47,7 +47,7 @@ class LieMidpoint(Integrator):
 
         def read(link: Link) -> Link:
             known = link.meeting.velocity is not None
-            return link.at(link.slip(rates, bodies.centre)) if known else link
+            return link.read(rates, bodies.centre) if known else link
 
         return jax.tree.map(read, links, is_leaf=lambda x: isinstance(x, Link)), None
 

@@ -4,6 +4,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -178,8 +179,8 @@ def ease(track: Track, query: Float[Array, "3"], near: SurfacePoint) -> tuple[Tr
     target = jnp.where(near.depth > 0, near.depth * near.normal, 0)
     change = target - track.stretch
     size = safe.norm(change)
-    eps = 8 * jnp.finfo(query.dtype).eps * (jnp.max(jnp.abs(query)) + jnp.max(jnp.abs(track.query)))
-    way = safe.norm(query - track.query) + eps
+    reach = jax.lax.stop_gradient(jnp.max(jnp.abs(query)) + jnp.max(jnp.abs(track.query)))
+    way = safe.norm(query - track.query) + 8 * jnp.finfo(query.dtype).eps * reach
     late = size > way
     stretch = jnp.where(late, track.stretch + change * safe.divide(way, size), target)
     normal = jnp.where(late, safe.normalise(stretch), near.normal)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from .. import safe
+from .._segments import decided
 from .._validate import as_float, check_positive
 from ._shape import BORDER, Edges, Shape, SurfacePoint, Track, begin, ease
 
@@ -61,9 +62,9 @@ class Box(Shape):
         """The face through which the point came in, until the point is beside it; see `Shape.follow`."""
         half = self.size / 2
         old = track.face.astype(jnp.int32)
-        face = jnp.where(jnp.any(track.stretch != 0), old, _entered(half, track.query, query))
+        face = decided(jnp.where(jnp.any(track.stretch != 0), old, _entered(half, track.query, query)))
         normal = _normal(face, query.dtype)
-        depth = jnp.sum(half * jnp.abs(normal)) - jnp.sum(query * normal)
+        depth = jnp.sum(half * jnp.abs(normal) - query * normal)
         beside = jnp.any((normal == 0) & (jnp.abs(query) > (1 + BORDER) * half))
         held = (face >= 0) & ~beside
         face = jnp.where(face >= 0, face, old)
@@ -107,7 +108,7 @@ def _entered(half: Float[Array, "3"], start: Float[Array, "3"], end: Float[Array
     when = jnp.where(ahead, outside / jnp.where(ahead, inward, 1), -1)
     when = jnp.where(jnp.all(outside < 0), outside, when)  # it starts inside: the nearest face
     axis = jnp.argmax(when)
-    there = start + jnp.maximum(when[axis], 0) * (end - start)
+    there = start + jnp.maximum(jnp.max(when), 0) * (end - start)
     # Rounding must not let a way through that ends inside, nor one that meets an edge.
     between = (outside < 0) & ((jnp.abs(there) <= half) | (jnp.abs(end) <= half))
     hit = jnp.all(ahead | between)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .. import safe
+from .._segments import decided
 from .._validate import as_float, check_number, check_positive, flag, is_traced
 from ..errors import InputError
 from ._creases import Creases, creases_of
@@ -177,7 +178,7 @@ class Mesh(Shape):
         last = frozen(track.face).astype(jnp.int32)
         in_contact = jnp.any(frozen(track.stretch) != 0) & (last >= 0)
         last = jnp.where(last < 0, -1 - last, last)
-        triangle, held = hold(still.grid, still.topology, start, end, last, in_contact)
+        triangle, held = decided(hold(still.grid, still.topology, start, end, last, in_contact))
         near = self._near(triangle, query)
         near = eqx.tree_at(lambda n: n.depth, near, jnp.where(held, near.depth, 0))
         near = eqx.tree_at(
