@@ -9,7 +9,7 @@ export PIP_ROOT_USER_ACTION := ignore
 # first takes over half of what the other has left.
 PYTEST := $(BIN)/pytest -n 2 --dist worksteal
 
-.PHONY: demo test lint docs clean
+.PHONY: demo test usb-test lint docs clean
 
 demo: .venv/.installed-demo
 	$(BIN)/hapjax demo
@@ -18,6 +18,18 @@ demo: .venv/.installed-demo
 test: .venv/.installed-dev
 	$(PYTEST)
 	JAX_ENABLE_X64=0 $(PYTEST)
+
+# The Falcon's driver through libusb itself. umockdev's bindings are for the system's Python, so apt is asked for them.
+UMOCKDEV := command -v umockdev-wrapper >/dev/null && \
+	/usr/bin/python3 -c 'import gi; gi.require_version("UMockdev", "1.0")' 2>/dev/null
+usb-test: .venv/.installed-dev
+	@{ $(UMOCKDEV); } || { [ "$$(id -u)" = 0 ] && apt-get -qq update && \
+		apt-get -qq install -y umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0; } >/dev/null 2>&1 || true
+	@if $(UMOCKDEV); then \
+		umockdev-wrapper /usr/bin/python3 tests/usb_bridge.py $(BIN)/python -m pytest tests/devices/test_falcon_usb.py; \
+	else \
+		echo "usb-test is skipped: it needs the packages umockdev, gir1.2-umockdev-1.0 and python3-gi"; \
+	fi
 
 lint: .venv/.installed-dev
 	$(BIN)/ruff check

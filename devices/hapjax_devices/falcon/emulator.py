@@ -134,7 +134,7 @@ class EmulatedFalcon:
         full = self._coming[_SIZE - 3][0] if len(self._coming) >= _SIZE - 2 else gives_up + 1
         sends = max(now, min(full, self._last + self._latency))
         if Fault.GARBAGE in self.faults:
-            sends = now + 400_000
+            sends = max(now, self._last + 400_000)
         if sends > gives_up or Fault.TIMEOUT in self.faults:
             self.clock.wait(gives_up)
             raise OSError(errno.ETIMEDOUT, "Operation timed out")
