@@ -1,9 +1,11 @@
 """Whether the clocks of a recording's channels agree."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from jaxtyping import Float
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from hapjax import Finding, Mesh
@@ -52,19 +54,16 @@ def clock_of(evidence: Evidence, suspects: Sequence[Stuck] = ()) -> tuple[Eviden
     channels = {"force": (1.0, 1.0)}  # how its shift moves hip and pose against it
     if not fixed:
         channels |= {"hip": (-1.0, 0.0), "pose": (0.0, -1.0)}
-    found = {name: _best(thin, used, moved, far) for name, moved in channels.items()}
+    found = {
+        name: best_shift(partial(_unexplained, thin, used, moved=m), far) for name, m in channels.items()
+    }
     name = min(found, key=lambda name: found[name][1])
     lag, cost = found[name]
     less = _unexplained(thin, used, np.array([lag]), channels[name])[0]
-    noise = min(thin.blur**2 * count, cost)
-    chance = cost / count * max(correlation_time([less[None, :, None]]), 1)
-    part = (cost - noise) / max(before - noise, 1e-300)
     least = max(_LEAST if fixed else _LEAST_OF_POSES, 2 * length / len(hip_t))
-    better = _BETTER if abs(lag) <= _WIDE * length else _WIDE_BETTER
-    if before - cost < _CHANCE * chance or part > better or abs(lag) < least:
+    how = how_shifted(lag, now, less, thin.blur, count, far, length) if abs(lag) >= least else None
+    if how is None:
         return evidence, []
-    sure = part <= _SURE or cost <= _CLOSE * noise
-    how = _told(lag, far - _COARSE) if sure else "shifted, by how much is not sure"
     sentence = (
         f"{name} is {how}: with that undone, only {cost / before:.1%} "
         "of what the fingers' depths do not explain of the force is left"
@@ -75,9 +74,30 @@ def clock_of(evidence: Evidence, suspects: Sequence[Stuck] = ()) -> tuple[Eviden
     return replace(evidence, places=places), [finding]
 
 
-def _told(lag: float, far: float) -> str:
-    if abs(lag) > far:
-        return f"shifted by more than {far:.2g} s, late or early"
+def how_shifted(
+    lag: float,
+    now: Float[np.ndarray, " n"],
+    less: Float[np.ndarray, " n"],
+    noise: float,
+    count: int,
+    far: float,
+    length: float,
+) -> str | None:
+    """What a shift (s) is called that leaves `less` (N) of what is not explained `now`; `None`: it may be chance.
+
+    **Arguments:** `noise` (N) of each of `count` numbers, how `far` (s) was looked, and the `length` (s) of the recording.
+    """
+    before, cost = float(np.sum(now**2)), float(np.sum(less**2))
+    of_noise = min(noise**2 * count, cost)
+    chance = cost / count * max(correlation_time([less[None, :, None]]), 1)
+    part = (cost - of_noise) / max(before - of_noise, 1e-300)
+    better = _BETTER if abs(lag) <= _WIDE * length else _WIDE_BETTER
+    if before - cost <= _CHANCE * chance or part > better:
+        return None
+    if part > _SURE and cost > _CLOSE * of_noise:
+        return "shifted, by how much is not sure"
+    if abs(lag) > far - _COARSE:
+        return f"shifted by more than {far - _COARSE:.2g} s, late or early"
     return f"{1e3 * abs(lag):.1f} ms {'late' if lag > 0 else 'early'}"
 
 
@@ -109,25 +129,25 @@ def _smoothed(evidence: Evidence) -> Evidence:
     return replace(evidence, recording=replace(recording, pose=pose), blur=blur)
 
 
-def _best(
-    evidence: Evidence, used: np.ndarray, moved: tuple[float, float], far: float
+def best_shift(
+    left: Callable[[Float[np.ndarray, " L"]], Float[np.ndarray, "L n"]], far: float
 ) -> tuple[float, float]:
-    """The shift (s) that explains the forces best, the least of those that are about as good, and what it leaves."""
+    """The shift (s), up to so `far`, that explains the forces best, the least of those that are about as good, and the
+    squares (N^2) of what is `left` with it."""
+
+    def costs(lags: np.ndarray) -> np.ndarray:
+        return np.sum(left(lags) ** 2, axis=-1)
+
     lags = np.linspace(-far, far, 2 * int(np.ceil(far / _COARSE)) + 1)
-    costs = _costs(evidence, used, lags, moved)
-    good = lags[costs <= 1.1 * costs.min()]
+    found = costs(lags)
+    good = lags[found <= 1.1 * found.min()]
     first = good[np.argmin(np.abs(good))]
     step = lags[1] - lags[0]
     for _ in range(2):
         lags = first + np.linspace(-step, step, _FINE)
-        costs = _costs(evidence, used, lags, moved)
-        first, step = lags[np.argmin(costs)], lags[1] - lags[0]
-    return float(first), float(costs.min())
-
-
-def _costs(evidence: Evidence, used: np.ndarray, lags: np.ndarray, moved: tuple[float, float]) -> np.ndarray:
-    """The squares (N^2) of the normal forces that are not explained at each shift (L,) s."""
-    return np.sum(_unexplained(evidence, used, lags, moved) ** 2, axis=-1)
+        found = costs(lags)
+        first, step = lags[np.argmin(found)], lags[1] - lags[0]
+    return float(first), float(found.min())
 
 
 def _unexplained(

@@ -161,7 +161,7 @@ def _places(
     for which, name in enumerate(_known(scene, recording)[0]):
         point, turn = _seen_from(scene, recording, name, hip_times, pose_times)
         shape = point.shape[:2]
-        flat, normal = _closest(scene.object[name].shape, point.reshape(-1, 3), scene.integrator.dt.dtype)
+        flat, normal = closest(scene.object[name].shape, point.reshape(-1, 3), scene.integrator.dt.dtype)
         normal, rate = normal.reshape(point.shape), np.zeros(shape)
         if tick is not None:
             after, before = (
@@ -187,7 +187,7 @@ def _seen_from(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The fingers (N, F, 3) m in an object's frame, and the rotation matrices (N, 3, 3) from there to the world."""
     position, turn = _poses(scene, recording, name, pose_times)
-    hip = _at(hip_times, recording.hip_t, recording.hip)
+    hip = at(hip_times, recording.hip_t, recording.hip)
     return np.matmul(hip - position[:, None], turn), turn
 
 
@@ -213,11 +213,11 @@ def _poses(scene: Scene, recording: Recording, name: str, times: np.ndarray) -> 
     pose = recording.pose[:, scene.moving().index(name)].copy()
     turned = np.sum(pose[1:, 3:] * pose[:-1, 3:], axis=-1) < 0
     pose[1:, 3:] *= np.where(np.cumsum(turned) % 2 == 1, -1.0, 1.0)[:, None]
-    between = _at(times, recording.pose_t, pose)
+    between = at(times, recording.pose_t, pose)
     return between[:, :3], Rotation.from_quat(between[:, 3:], scalar_first=True).as_matrix()
 
 
-def _at(times: np.ndarray, clock, samples) -> np.ndarray:
+def at(times: np.ndarray, clock, samples) -> np.ndarray:
     """Samples at other times, linearly interpolated."""
     place = (
         np.clip(np.searchsorted(clock, times) - 1, 0, len(clock) - 2)
@@ -231,7 +231,7 @@ def _at(times: np.ndarray, clock, samples) -> np.ndarray:
     return (1 - weight) * samples[place] + weight * samples[place + 1]
 
 
-def _closest(shape, points: np.ndarray, dtype) -> tuple[np.ndarray, np.ndarray]:
+def closest(shape, points: np.ndarray, dtype) -> tuple[np.ndarray, np.ndarray]:
     """Depth (n,) m and outward normal (n, 3) at points (n, 3) m."""
     # Of few sizes, each of which is compiled: powers of four, then pieces of the largest.
     size = min(4 ** max(-(-(len(points) - 1).bit_length() // 2), 4), _PIECE)

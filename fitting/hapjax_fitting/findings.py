@@ -18,6 +18,7 @@ from hapjax import Finding, Recording, Scene
 from .clocks import clock_of
 from .evidence import Evidence, evidence_of, scaled
 from .fingers import fingers_of, unexplained
+from .held import lies_of_grip
 from .motion import no_slip, stuck, unreached
 from .sensors import Sensors
 from .sharding import shared_out
@@ -60,7 +61,7 @@ def lies(scene: Scene, recording: Recording, friction: bool = True) -> list[Find
     found = list(_angles(recording))
     evidence = evidence_of(scene, recording)
     if evidence is None:
-        return found
+        return found + lies_of_grip(scene, recording)
     evidence, units = _units(evidence)
     found += units
     nothing = _no_contact(evidence)

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d, uniform_filter1d
 
-from hapjax import Finding
+from hapjax import Finding, Recording
 
 from .evidence import Evidence
 
 _LONG = 0.05  # s and
 _MANY = 51  # samples, odd: an axis that rests so long while the others move is looked at
-_FEW = 20
+FEW = 20
 _JITTER, _MOST_JITTER = (
     1e-5,
     1e-4,
@@ -22,7 +22,7 @@ _LEAP = 5.0  # times its quick steps: so far an axis jumps only if it was stuck
 _SAME = 1e-3  # what normals of one face differ by
 _ALWAYS = 0.9  # of a recording
 _PULL = 8.0  # times what noise leaves of a normal force: so much more friction is a pull
-_AXES = "xyz"
+AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -44,15 +44,15 @@ def stuck(evidence: Evidence) -> list[Stuck]:
         felt = _Felt(evidence, finger)
         for axis in range(3):
             path = recording.hip[:, finger, axis]
-            jitter = _jitter(path)
-            for first, last in _rests(path, recording.hip_t, jitter):
+            jitter = jitter_of(path)
+            for first, last in rests(path, recording.hip_t, jitter):
                 begin, end = float(recording.hip_t[first]), float(recording.hip_t[last])
-                said = _jump(path, recording.hip_t, last, jitter)
-                if said is None and _moves(evidence, finger, axis, first, last, jitter):
+                said = jump(path, recording.hip_t, last, jitter)
+                if said is None and moves(recording, finger, axis, first, last, jitter):
                     said = felt.against(axis, begin, end)
                 if said is not None:
                     sentence = (
-                        f"{_AXES[axis]} of finger {finger} stays at {path[first]:.6g} m from "
+                        f"{AXES[axis]} of finger {finger} stays at {path[first]:.6g} m from "
                         f"{begin:.4g} to {end:.4g} s, {said}: its encoder looks stuck"
                     )
                     finding = Finding("hip", "stuck encoder", sentence, at=begin, count=last - first + 1)
@@ -71,19 +71,19 @@ def unreached(evidence: Evidence) -> list[Finding]:
             continue
         for axis in range(3):
             path = recording.hip[:, finger, axis]
-            jitter = _jitter(path)
-            rests = [r for r in _rests(path, recording.hip_t, jitter) if r[1] - r[0] > _ALWAYS * len(path)]
+            jitter = jitter_of(path)
+            resting = [r for r in rests(path, recording.hip_t, jitter) if r[1] - r[0] > _ALWAYS * len(path)]
             facing = np.abs(evidence.normal[:, finger, axis]).mean() > 0.5
-            if facing and any(_moves(evidence, finger, axis, *rest, jitter) for rest in rests):
+            if facing and any(moves(recording, finger, axis, *rest, jitter) for rest in resting):
                 sentence = (
-                    f"{_AXES[axis]} of finger {finger} stays at {path[0]:.6g} m all the time, outside of all surfaces, "
+                    f"{AXES[axis]} of finger {finger} stays at {path[0]:.6g} m all the time, outside of all surfaces, "
                     f"while its force reaches {strongest:.3g} N: its encoder looks stuck, if the scene is in its place"
                 )
                 found.append(Finding("hip", "stuck encoder", sentence, count=len(path)))
     return found
 
 
-def _rests(path: np.ndarray, times: np.ndarray, jitter: float) -> Iterator[tuple[int, int]]:
+def rests(path: np.ndarray, times: np.ndarray, jitter: float) -> Iterator[tuple[int, int]]:
     """The first and last samples of each long rest of one axis' path (T,): but for jitter, or an encoder's one step."""
     still = maximum_filter1d(path, _MANY) - minimum_filter1d(path, _MANY) <= jitter
     same = np.concatenate([[False], maximum_filter1d(still, _MANY), [False]])
@@ -93,15 +93,15 @@ def _rests(path: np.ndarray, times: np.ndarray, jitter: float) -> Iterator[tuple
             yield first, last
 
 
-def _jitter(path: np.ndarray) -> float:
+def jitter_of(path: np.ndarray) -> float:
+    """Within how many metres an axis rests."""
     steps = np.abs(np.diff(path))
     least = float(steps[steps > 0].min()) if steps.any() else 0.0
     return max(_JITTER, min(1.01 * least, _MOST_JITTER))
 
 
-def _moves(evidence: Evidence, finger: int, axis: int, first: int, last: int, jitter: float) -> bool:
+def moves(recording: Recording, finger: int, axis: int, first: int, last: int, jitter: float) -> bool:
     """Whether the finger's other axes, or objects, move during a rest, so that it ought to as well."""
-    recording = evidence.recording
     assert recording.hip is not None and recording.hip_t is not None
     far = _MOVES * jitter
     spans = np.ptp(recording.hip[first : last + 1, finger], axis=0)
@@ -111,10 +111,10 @@ def _moves(evidence: Evidence, finger: int, axis: int, first: int, last: int, ji
         return False
     during = (recording.pose_t >= recording.hip_t[first]) & (recording.pose_t <= recording.hip_t[last])
     place = recording.pose[during, :, :3]
-    return during.sum() >= _FEW and bool(np.ptp(uniform_filter1d(place, _FEW, axis=0), axis=0).max() > far)
+    return during.sum() >= FEW and bool(np.ptp(uniform_filter1d(place, FEW, axis=0), axis=0).max() > far)
 
 
-def _jump(path: np.ndarray, times: np.ndarray, last: int, jitter: float) -> str | None:
+def jump(path: np.ndarray, times: np.ndarray, last: int, jitter: float) -> str | None:
     """How far one axis jumps as a rest ends; None where it moves on as it always does."""
     if last + 1 >= len(path) or abs(path[last + 1] - path[last]) <= _MOVES * jitter:
         return None
@@ -122,7 +122,7 @@ def _jump(path: np.ndarray, times: np.ndarray, last: int, jitter: float) -> str 
     speeds = steps / np.diff(times)
     others = np.delete(speeds, last)
     moves = others[others > 0]
-    if len(moves) < _FEW or speeds[last] <= _LEAP * np.quantile(moves, 0.99):
+    if len(moves) < FEW or speeds[last] <= _LEAP * np.quantile(moves, 0.99):
         return None
     return f"then jumps by {1e3 * steps[last]:.3g} mm from one sample to the next"
 
@@ -146,7 +146,7 @@ class _Felt:
         if (said := self._beyond(axis, rows)) is not None:
             return said
         felt = self.touching[rows]
-        if np.count_nonzero(felt) < _FEW:
+        if np.count_nonzero(felt) < FEW:
             return None
         facing = np.abs(self.world[rows, axis][felt]).mean() > 0.5
         return self._off(rows) if facing else self._pulled(axis, rows)
@@ -155,12 +155,12 @@ class _Felt:
         """A finger that is frozen outside what it presses on: its force alone tells."""
         outside = ~self.touching[rows] & self.pressed[rows]
         count = np.count_nonzero(outside)
-        if count < max(_FEW, 0.2 * len(outside)) or np.abs(self.world[rows, axis][outside]).mean() <= 0.5:
+        if count < max(FEW, 0.2 * len(outside)) or np.abs(self.world[rows, axis][outside]).mean() <= 0.5:
             return None
         idle = ~self.touching
         idle[rows] = False
         most = self.strength[rows][outside].max()
-        if idle.sum() >= _FEW and most <= 5 * np.median(self.strength[idle]):
+        if idle.sum() >= FEW and most <= 5 * np.median(self.strength[idle]):
             return None
         return f"while it presses with up to {most:.3g} N on what it does not reach"
 
@@ -171,10 +171,10 @@ class _Felt:
         sums = self._sums(felt[0] if (felt == felt[0]).all() else np.median(felt, axis=0))
         during = sums[rows.stop] - sums[rows.start]
         beside = sums[-1] - during
-        if during[0] < _FEW:
+        if during[0] < FEW:
             return None
-        whole = beside[0] < _FEW
-        if whole and np.count_nonzero(self.touching) - len(felt) >= _FEW:
+        whole = beside[0] < FEW
+        if whole and np.count_nonzero(self.touching) - len(felt) >= FEW:
             return None  # what there is to compare with is another face
         reference = during if whole else beside
         stiffness = reference[1] / reference[2]
@@ -207,7 +207,7 @@ class _Felt:
             some = slice(rows.start + begin, rows.start + end)
             world = self.world[some]
             if (
-                end - begin < _FEW
+                end - begin < FEW
                 or not places.fixed[some, self.finger].all()
                 or np.abs(world[:, axis]).max() > 0.1
             ):
@@ -245,7 +245,7 @@ def no_slip(evidence: Evidence) -> list[Finding]:
             pull.append(local[rows, finger] - push[:, None] * normal)
             depth.append(places.depth[rows, finger])
             along.append(push)
-    if sum(len(d) for d in depth) < _FEW:
+    if sum(len(d) for d in depth) < FEW:
         return []
     u, f, d, n = (np.concatenate(x) for x in (travel, pull, depth, along))
     far, deep = float(np.linalg.norm(u, axis=-1).max()), float(np.mean(d))
