@@ -128,8 +128,7 @@ class Falcon(Driver):
 
     def _probed(self, line: Line) -> Iterator[State]:
         """Whether firmware runs."""
-        line.request(ftdi.FRAME_8N1, ftdi.NO_FLOW_CONTROL, ftdi.latency(1), ftdi.BAUD_1500000)
-        line.request(ftdi.PURGE_RECEIVE, ftdi.PURGE_TRANSMIT)
+        yield from line.requested("connecting", ftdi.FRAME_8N1, ftdi.NO_FLOW_CONTROL, *ftdi.FOR_PACKETS)
         for _ in range(_PROBES):
             if (yield from self._asked(line, "connecting", _PROBE_TIME)):
                 return True

@@ -53,7 +53,7 @@ def upload(line: Line, image: bytes, clock: Clock) -> Iterator[State]:
     for _ in range(_LOADS):
         yield from _knock(line, clock)
         if (yield from _load(line, image, clock)):
-            line.request(ftdi.latency(1), ftdi.BAUD_1500000, ftdi.PURGE_RECEIVE, ftdi.PURGE_TRANSMIT)
+            yield from line.requested("uploading", *ftdi.FOR_PACKETS)
             return
     raise DeviceError(
         f"{line.name} did not take its firmware: {_LOADS} times its boot loader echoed something else"
@@ -62,8 +62,7 @@ def upload(line: Line, image: bytes, clock: Clock) -> Iterator[State]:
 
 def _knock(line: Line, clock: Clock) -> Iterator[State]:
     """Reset the processor into its boot loader, and ask until it answers."""
-    line.request(ftdi.PURGE_RECEIVE, ftdi.PURGE_TRANSMIT, ftdi.latency(16), ftdi.BAUD_9600, ftdi.FRAME_8N1)
-    line.request(ftdi.NO_FLOW_CONTROL, ftdi.RTS_LOW, ftdi.DTR_LOW, ftdi.DTR_HIGH)
+    yield from line.requested("booting", *ftdi.FOR_BOOTING)
     yield from _collected(line, clock, "booting", _ECHO_TIME, lambda _: line.clear_to_send)
     for _ in range(_TRIES):
         line.write(_KEY)
@@ -77,7 +76,7 @@ def _knock(line: Line, clock: Clock) -> Iterator[State]:
 
 def _load(line: Line, image: bytes, clock: Clock) -> Generator[State, None, bool]:
     """Send the image; whether every byte of it came back."""
-    line.request(ftdi.DTR_LOW, ftdi.BAUD_142857)
+    yield from line.requested("uploading", ftdi.DTR_LOW, ftdi.BAUD_142857)
     for chunk in (_AUTOBAUD, *(image[at : at + _CHUNK] for at in range(0, len(image), _CHUNK))):
         line.write(chunk)
         whole = partial(_is_long, len(chunk))

@@ -1,12 +1,14 @@
 """The serial line to the Falcon, through the FTDI FT232R behind its USB plug."""
 
 import errno
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from hapjax.extras import need
 
 from ..device import DeviceError
+from ..driver import State
 
 VENDOR, PRODUCT = 0x0403, 0xCB48
 _OUT, _IN, _SIZE = 0x02, 0x81, 64
@@ -37,6 +39,13 @@ RTS_LOW, DTR_LOW, DTR_HIGH = Request(1, 0x200), Request(1, 0x100), Request(1, 0x
 def latency(milliseconds: int) -> Request:
     """How long the chip waits for more bytes, 1 to 255 ms, before it sends what it has, or its status alone."""
     return Request(9, milliseconds)
+
+
+FOR_PACKETS = (latency(1), BAUD_1500000, PURGE_RECEIVE, PURGE_TRANSMIT)
+FOR_BOOTING = (
+    *(PURGE_RECEIVE, PURGE_TRANSMIT, latency(16), BAUD_9600, FRAME_8N1, NO_FLOW_CONTROL),
+    *(RTS_LOW, DTR_LOW, DTR_HIGH),  # which resets the processor
+)
 
 
 class Attached(NamedTuple):
@@ -86,13 +95,14 @@ class Line:
             self.close()
             raise _told(error, self.name) from error
 
-    def request(self, *requests: Request) -> None:
-        """Send control requests to the chip."""
+    def requested(self, state: State, *requests: Request) -> Iterator[State]:
+        """Send control requests to the chip, in steps that each yield `state`: each takes a frame of USB or two."""
         for request, value in requests:
             try:
                 self._device.ctrl_transfer(_TO_CHIP, request, value, 0, None, _CONTROL_TIMEOUT)
             except OSError as error:
                 raise _told(error, self.name) from error
+            yield state
 
     def write(self, data: bytes) -> None:
         """Send bytes to the Falcon."""

@@ -1,0 +1,111 @@
+"""A loop's devices: one that fails gets no force and comes back, and the others do not notice."""
+
+import numpy as np
+import pytest
+
+from hapjax_devices import DeviceError
+from hapjax_devices.fingers import Fingers
+
+PUSH = np.array([[1.0, 0.0, -2.0], [0.0, 3.0, 0.0]])
+
+
+class Plain:
+    """A device that fails in the calls whose numbers it is given, and keeps what was written."""
+
+    force_limit, resolution = 8.0, 1e-5
+
+    def __init__(self, fails=()):
+        self.fails, self.calls, self.written = fails, 0, []
+
+    def _call(self):
+        self.calls += 1
+        if self.calls in self.fails:
+            raise DeviceError("the cable is out")
+
+    def open(self): ...
+
+    def read(self):
+        self._call()
+        return np.full(3, 0.001 * self.calls)
+
+    def write(self, force):
+        self._call()
+        self.written.append(np.array(force))
+        return force
+
+    def close(self): ...
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception): ...
+
+
+class Recoverable(Plain):
+    """One that is back after `patience` requests."""
+
+    def __init__(self, fails=(), patience=2):
+        super().__init__(fails)
+        self.patience, self.asked = patience, []
+
+    def recover(self):
+        self.asked.append(True)
+        return len(self.asked) >= self.patience
+
+
+def loop(first, ticks, rate=1000.0):
+    """Where the fingers were and what was put out, tick by tick, with `first` beside one that never fails."""
+    fingers, other = Fingers([first, Plain()], rate), []
+    hip, output, hips = np.zeros((2, 3)), np.zeros((2, 3)), []
+    for tick in range(ticks):
+        fingers.read(tick, hip)
+        hips.append(hip.copy())
+        fingers.write(tick, PUSH, output)
+        other.append(output.copy())
+    return fingers, np.array(hips), np.array(other)
+
+
+@pytest.mark.parametrize(("call", "tick"), [(7, 3), (8, 3)])  # a read, and the write after it
+def test_it_gets_no_force_until_it_is_back(call, tick):
+    fingers, hips, outputs = loop(Recoverable(fails=[call]), 700)
+    (fault,) = fingers.faults
+    # Asked every 10 ticks, and back at the second time; then half a second to the full force.
+    assert fault == (tick, 0, "the cable is out", tick + 20)
+    assert np.array_equal(outputs[:tick, 0], np.tile(PUSH[0], (tick, 1)))
+    assert not outputs[tick : tick + 20, 0].any()
+    part = np.clip((np.arange(tick + 20, 700) - (tick + 20)) / 500, 0, 1)
+    np.testing.assert_allclose(outputs[tick + 20 :, 0], part[:, None] * PUSH[0])
+    assert np.ptp(hips[tick : tick + 20, 0], axis=0).max() == 0
+    assert np.array_equal(outputs[:, 1], np.tile(PUSH[1], (700, 1))) and np.all(
+        np.diff(hips[:, 1], axis=0) > 0
+    )
+
+
+def test_a_slow_loop_asks_each_tick():
+    fingers, _, outputs = loop(Recoverable(fails=[3], patience=3), 60, rate=100.0)
+    assert fingers.faults[0].back == 1 + 3
+    assert not outputs[4, 0].any() and np.array_equal(outputs[54:, 0], np.tile(PUSH[0], (6, 1)))
+
+
+def test_one_that_fails_again_is_told_of_again():
+    device = Recoverable(fails=[3, 4], patience=1)  # the second is the read with which it is back
+    fingers, _, _ = loop(device, 40)
+    assert [(fault.tick, fault.back) for fault in fingers.faults] == [(1, 11), (11, 21)]
+
+
+def test_one_that_cannot_come_back_ends_the_loop():
+    with pytest.raises(DeviceError, match="the cable is out"):
+        loop(Plain(fails=[5]), 10)
+
+
+def test_all_are_let_go_though_one_fails():
+    failing, down, fine = Recoverable(fails=[1]), Recoverable(fails=[1]), Plain()
+    fingers = Fingers([failing, down, fine], 1000.0)
+    with fingers.let_go():
+        failing.calls = 0
+        hip = np.zeros((3, 3))
+        failing.fails = ()
+        fingers.read(0, hip)  # here the second goes down
+        failing.fails = [failing.calls + 1]  # and this one when it is let go
+    assert [fault.finger for fault in fingers.faults] == [1, 0] and not down.written
+    np.testing.assert_array_equal(fine.written, np.zeros((1, 3)))
