@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import hapjax
+from bus_cases import about, numbers, publish, state
 from hapjax import InputError
 from hapjax_devices import (
     About,
@@ -19,57 +20,11 @@ from hapjax_devices import (
     run,
     runs,
 )
-from hapjax_devices.fingers import Fingers
-
-
-def fingers(down=(), faults=()) -> Fingers:
-    """Fingers of which the devices of some are down."""
-    made = Fingers([], 400.0)
-    made._down, made.faults = dict.fromkeys(down, 0), list(faults)
-    return made
-
-
-FINE = fingers()
-
-
-def about(name, rate=400.0, memory=11, gimbals=2) -> About:
-    """Two fingers on one object, whose pose is at the end of the memory."""
-    device = {"type": "VirtualDevice", "force_limit": 8.5, "resolution": 3e-5}
-    places = (tuple(range(memory - 7, memory)),)
-    return About(
-        f"{name}-{os.getpid()}",
-        rate,
-        2,
-        gimbals,
-        memory,
-        "float32",
-        ("cube",),
-        places,
-        (device, device),
-        "[object.cube]\n",
-        {},
-        "",
-        os.getpid(),
-        time.time_ns(),
-        time.perf_counter_ns(),
-    )
-
-
-def numbers(tick, memory=11):
-    """What the fingers of a tick have, all different: hip, gimbal, force, memory."""
-    hip = (tick + np.arange(6) / 7).reshape(2, 3).astype(np.float32)
-    return hip, tick + np.array([0.25, 0.5]), -hip.astype(float) / 3, np.arange(memory) / 9 + tick
-
-
-def publish(publisher, ticks, state=FINE, counts=(0, 0, 0, 0), begin=None):
-    begin = time.perf_counter_ns() if begin is None else begin
-    for tick in ticks:
-        publisher.publish(tick, begin + tick * 2_500_000, 1.5, 20.25, counts, state, *numbers(tick))
 
 
 @pytest.fixture
 def publisher(request):
-    with TickPublisher(about(request.node.name[:60])) as made:
+    with TickPublisher(about(f"{request.node.name[:60]}-{os.getpid()}")) as made:
         yield made
 
 
@@ -85,7 +40,7 @@ def reader(publisher, **options):
 def test_ticks_arrive_whole_and_in_order(publisher):
     with reader(publisher) as listening:
         publish(publisher, range(3))
-        publish(publisher, range(3, 5), fingers([1]), (1, 2, 3, 4))
+        publish(publisher, range(3, 5), state([1]), (1, 2, 3, 4))
         ticks = listening.take()
         assert ticks["tick"].tolist() == [0, 1, 2, 3, 4] and np.all(np.diff(ticks["time_ns"]) > 0)
         for tick in range(5):
@@ -128,7 +83,7 @@ def test_a_reader_that_comes_late_gets_the_last_second(publisher):
 
 
 def test_what_was_said_can_be_read_after_the_end():
-    with TickPublisher(about("ended")) as publisher:
+    with TickPublisher(about(f"ended-{os.getpid()}")) as publisher:
         listening = reader(publisher)
         publish(publisher, range(20))
     assert publisher.run not in runs()
@@ -139,14 +94,17 @@ def test_what_was_said_can_be_read_after_the_end():
 
 
 def test_runs_do_not_mix():
-    with TickPublisher(about("one")) as one, TickPublisher(about("other")) as other:
+    with (
+        TickPublisher(about(f"one-{os.getpid()}")) as one,
+        TickPublisher(about(f"other-{os.getpid()}")) as other,
+    ):
         with reader(one) as listening:
             publish(other, range(5))
             publish(one, range(7, 9))
             assert listening.take()["tick"].tolist() == [7, 8]
         assert {one.run, other.run} <= set(runs())
         with pytest.raises(InputError, match=f"{one.run}.*doctor"):
-            TickPublisher(about("one"))
+            TickPublisher(about(f"one-{os.getpid()}"))
     with pytest.raises(InputError, match="no run 'nowhere' is on the bus; allowed: "):
         TickReader("nowhere", patience=0.05)
     for name in ("", "a/b", ".hidden", "x" * 101):
@@ -165,7 +123,7 @@ def test_faults_are_told_once(publisher):
             (range(5, 7), [], [broken._replace(back=5)]),
             (range(7, 8), [], [broken._replace(back=5), DeviceFault(7, 0, "short packets", 7)]),
         ):
-            publish(publisher, ticks, fingers(down, faults))
+            publish(publisher, ticks, state(down, faults))
         found = [(e.kind, e.tick, e.finger, e.sentence) for e in listening.events()]
         back = "the device of finger {} is back; its force rises"
         assert found == [

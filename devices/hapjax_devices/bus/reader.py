@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import select
 import time
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -48,8 +49,9 @@ class TickReader:
         deepest = services.depth(self.about.rate)
         kept = deepest if depth is None else min(depth, deepest)
         self._services = []
-        self._ticks = self._reads(services.ticks(self._node, run, sample, self.about.rate), kept)
+        # Events first: who waits for readers counts those of the ticks.
         self._events = self._reads(services.events(self._node, run), services.EVENTS)
+        self._ticks = self._reads(services.ticks(self._node, run, sample, self.about.rate), kept)
         self._buffer = np.zeros(kept, sample)
         self._event = np.zeros(1, services.EVENT)
 
@@ -76,10 +78,10 @@ class TickReader:
         return found
 
     def is_alive(self) -> bool:
-        """Whether the process that publishes still runs. What it published before its end can be taken afterwards."""
-        if self._process is None:
+        """Whether the run is still on the bus, and its process alive. What was published before can be taken afterwards."""
+        if self._process is None or _has_ended(self._process):
             return False
-        return not _has_ended(self._process)
+        return self._services[-1].dynamic_config.number_of_publishers > 0
 
     def close(self) -> None:
         """Leave the bus."""
@@ -131,6 +133,4 @@ def _process(number: int) -> int | None:
 
 
 def _has_ended(process: int) -> bool:
-    import select
-
     return bool(select.select([process], [], [], 0)[0])

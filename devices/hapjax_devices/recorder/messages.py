@@ -50,6 +50,7 @@ class Messages:
         self._channels |= {"pose": len(about.objects)} if about.objects else {}
         self._templates = {name: _template(name, count) for name, count in self._channels.items()}
         self._servo = '{"t":%r,' + ",".join(f'"{name}":%r' for name in SERVO) + "}"
+        self._to_wall = about.wall_ns - about.clock_ns
         self._pose_at = np.array(about.pose_at, int)
         self.schemas = {f"/{name}": (f"hapjax.{name}", schema(name)) for name in self._channels}
         self.schemas["/servo"] = ("hapjax.servo", _object(t=_NUMBER, **dict.fromkeys(SERVO, _NUMBER)))
@@ -59,7 +60,7 @@ class Messages:
     def of_ticks(self, ticks: np.ndarray) -> Iterator[Message]:
         """The messages of ticks (n,) as a `TickReader` takes them, channel by channel."""
         rate, n = self._about.rate, len(ticks)
-        times, stamps = ticks["tick"] / rate, self._stamp(ticks["time_ns"])
+        times, stamps = ticks["tick"] / rate, ticks["time_ns"] + self._to_wall
         for name, template in self._templates.items():
             at, of = times, stamps
             if name == "pose":  # a step's poses belong to its end
@@ -79,7 +80,7 @@ class Messages:
 
     def of_event(self, event: Event) -> Message:
         """An event as a `foxglove.Log`, with what else there is to say of it."""
-        stamp = int(self._stamp(np.array(event.time_ns)))
+        stamp = event.time_ns + self._to_wall
         seconds, nanoseconds = divmod(stamp, 10**9)
         said = {
             "t": max(event.tick, 0) / self._about.rate,
@@ -94,9 +95,6 @@ class Messages:
             "finger": event.finger,
         }
         return Message("/event", stamp, json.dumps(said, separators=(",", ":")).encode())
-
-    def _stamp(self, time_ns: np.ndarray) -> np.ndarray:
-        return time_ns - self._about.clock_ns + self._about.wall_ns
 
 
 def _template(name: str, count: int) -> str:

@@ -32,6 +32,10 @@ class RecorderProcess:
         """Ask it to write what there is, and to end."""
         self._process.terminate()
 
+    def kill(self) -> None:
+        """End it at once. Its file is left without an end; see `hapjax recover`."""
+        self._process.kill()
+
     def wait(self, timeout: float | None = None) -> tuple[int, str]:
         """Its exit code (0, or 1 where the file could not be written on, 2 for bad input) and what it said at its end.
 
