@@ -15,6 +15,7 @@ from .falcon import Falcon as Falcon
 from .falcon import attached_falcons as attached_falcons
 from .fingers import DeviceFault as DeviceFault
 from .inverse3 import Inverse3 as Inverse3
+from .inverse3 import attached_inverse3 as attached_inverse3
 from .operator import Hand as Hand
 from .operator import Operator as Operator
 from .operator import waypoints as waypoints

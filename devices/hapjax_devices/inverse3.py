@@ -28,6 +28,20 @@ _FASTEST, _JITTER = 4.0e-9, 2e-3  # m/ns and m: no hand moves faster, even where
 _FIELD = {"3.1": "values", "3.5": "vector"}  # what the service's message format calls the force
 
 
+def attached_inverse3(url: str = URL) -> list[str]:
+    """The ids of the Inverse3 that Haply's service at `url` knows of.
+
+    **Raises:** `DeviceError` where there is no service; `InputError` where the extra `inverse3` is not installed.
+    """
+    socket = _connected(url, 1.0, "an Inverse3")
+    try:
+        return _ids(_parsed(socket.recv_data()[1]))
+    except (OSError, need("websocket", "inverse3").WebSocketException) as error:
+        raise DeviceError(f"Haply's service at {url} does not say which Inverse3 are attached") from error
+    finally:
+        socket.shutdown()
+
+
 class Inverse3(Driver):
     """A Haply Inverse3; see `Device` and `RecoverableDevice`. Needs the extra `inverse3`, and Haply's service running.
 
@@ -75,7 +89,7 @@ class Inverse3(Driver):
 
     def _steps(self) -> Iterator[State]:
         yield "connecting"
-        self._socket = self._connected()
+        self._socket = _connected(self._url, _SHAKE, self.name)
         until = self._clock.now() + _INVENTORY
         while not (messages := self._received(1_000_000)):
             yield "connecting"
@@ -94,23 +108,9 @@ class Inverse3(Driver):
                 self._take(message)
             yield "connecting"
 
-    def _connected(self) -> Any:
-        websocket = self._websocket
-        try:
-            return websocket.create_connection(self._url, timeout=_SHAKE, skip_utf8_validation=True)
-        except (OSError, websocket.WebSocketException) as error:
-            refused = isinstance(error, OSError) and error.errno == errno.ECONNREFUSED
-            said = "no program listens there" if refused else str(error) or type(error).__name__
-            raise DeviceError(f"{self.name} needs Haply's service at {self._url}: {said}") from error
-
     def _chosen(self, inventory: Any) -> str:
         """The id of the device that is meant, of those that the service has."""
-        devices = inventory.get("inverse3") if isinstance(inventory, dict) else None
-        ids = [
-            d["device_id"]
-            for d in devices or []
-            if isinstance(d, dict) and isinstance(d.get("device_id"), str)
-        ]
+        ids = _ids(inventory)
         if not ids:
             raise DeviceError(f"{self.name} is not attached: Haply's service knows of none")
         if self._wanted is None and len(ids) > 1:
@@ -223,3 +223,22 @@ def _parsed(data: bytes) -> Any:
         return json.loads(data)
     except (ValueError, RecursionError):
         return None
+
+
+def _connected(url: str, seconds: float, name: str) -> Any:
+    websocket = need("websocket", "inverse3")
+    try:
+        return websocket.create_connection(url, timeout=seconds, skip_utf8_validation=True)
+    except (OSError, websocket.WebSocketException) as error:
+        refused = isinstance(error, OSError) and error.errno == errno.ECONNREFUSED
+        said = "no program listens there" if refused else str(error) or type(error).__name__
+        raise DeviceError(f"{name} needs Haply's service at {url}: {said}") from error
+
+
+def _ids(inventory: Any) -> list[str]:
+    """Those of the devices that the service's first message lists."""
+    devices = inventory.get("inverse3") if isinstance(inventory, dict) else None
+    if not isinstance(devices, list):
+        return []
+    ids = [device.get("device_id") for device in devices if isinstance(device, dict)]
+    return [name for name in ids if isinstance(name, str)]

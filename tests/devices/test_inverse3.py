@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from hapjax import InputError
-from hapjax_devices import DeviceClosed, DeviceError, Inverse3, Placement, RecoverableDevice, inverse3
+from hapjax_devices import (
+    DeviceClosed,
+    DeviceError,
+    Inverse3,
+    Placement,
+    RecoverableDevice,
+    attached_inverse3,
+    inverse3,
+)
 from haply_service import HaplyService
 
 PUSH = np.array([1.0, -2.0, 1.5])
@@ -124,6 +132,7 @@ def until(done, most=20_000):
 )
 def test_what_cannot_be_opened(ids, fault, wanted, said):
     with HaplyService(ids) as service:
+        assert attached_inverse3(service.url) == list(ids)
         device = Inverse3(wanted, url=service.url)
         with pytest.raises(DeviceError, match=said):
             device.open()
@@ -136,9 +145,13 @@ def test_a_service_that_is_not_there_or_says_nothing(service):
         url = f"ws://127.0.0.1:{free.getsockname()[1]}"
     with pytest.raises(DeviceError, match=f"needs Haply's service at {url}: no program listens there"):
         Inverse3(url=url).open()
+    with pytest.raises(DeviceError, match="no program listens there"):
+        attached_inverse3(url)
     service.fault = "silence"
     with pytest.raises(DeviceError, match="Haply's service does not say what is attached"):
         Inverse3(url=service.url).open()
+    with pytest.raises(DeviceError, match="does not say which Inverse3 are attached"):
+        attached_inverse3(service.url)
 
 
 def test_a_force_limit_out_of_range():
