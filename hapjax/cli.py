@@ -284,6 +284,26 @@ def benchmark(
         parts.report(loaded, fingers, json)
 
 
+def recover(recording: Positional[Path], *, out: Path | None = None) -> None:
+    """Make a whole file of a recording (.mcap) that was cut short or is damaged, and say what is lost.
+
+    The recording stays as it is. Example: hapjax recover lift.mcap --out whole.mcap
+
+    Args:
+        recording: MCAP file, of any recorder.
+        out: File to write, which must not exist; absent: the recording's name with -recovered.
+    """
+    from .recording.recovering import recover as recovering
+
+    target = recording.with_name(f"{recording.stem}-recovered.mcap") if out is None else out
+    found = recovering(recording, target)
+    for sentence in found.lost:
+        print(f"hapjax: {recording}: lost: {sentence}", file=sys.stderr)
+    each = ", ".join(f"{topic} {count}" for topic, count in sorted(found.messages.items())) or "none"
+    whole = "; the file was whole" if found.whole else ""
+    print(f"{target}: {found.messages.total()} messages ({each}){whole}")
+
+
 def _by_path(option: str, given: tuple[tuple[str, float, float], ...]) -> dict[str, tuple[float, float]]:
     """The two numbers of each path. **Raises:** `InputError` where one is named twice."""
     found: dict[str, tuple[float, float]] = {}
@@ -303,7 +323,7 @@ def _loaded(path: Path, topics) -> Recording:
 
 
 _SHELLS = ("bash", "zsh", "tcsh")
-_COMMANDS = {"demo": demo, "simulate": simulate, "fit": fit, "benchmark": benchmark}
+_COMMANDS = {"demo": demo, "simulate": simulate, "fit": fit, "benchmark": benchmark, "recover": recover}
 
 
 def main(arguments: list[str] | None = None) -> int:

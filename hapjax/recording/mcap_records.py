@@ -12,7 +12,7 @@ from ..extras import need
 from .content import CHUNK_RATIO, check_unpacked
 from .finding import Finding
 
-_DAMAGE = (ValueError, TypeError, KeyError, struct.error, OverflowError, MemoryError, EOFError, RuntimeError)
+DAMAGE = (ValueError, TypeError, KeyError, struct.error, OverflowError, MemoryError, EOFError, RuntimeError)
 
 
 class Scan:
@@ -80,7 +80,7 @@ class Scan:
                     raise InputError(
                         f"{self.path}: expected an MCAP file, found another format or nothing whole"
                     ) from None
-            except (errors.McapError, *_DAMAGE) as error:
+            except (errors.McapError, *DAMAGE) as error:
                 if isinstance(error, InputError):
                     raise
                 if self._runs_out(stream):
@@ -102,7 +102,7 @@ class Scan:
         """The records of a chunk."""
         errors = need("mcap.exceptions", "recording")
         check_unpacked(self.path, self.size, chunk.uncompressed_size, CHUNK_RATIO)
-        data = _decompressed(chunk)
+        data = decompressed(chunk)
         if len(data) != chunk.uncompressed_size:
             raise self._damaged("a chunk of another length than it says")
         if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
@@ -121,7 +121,7 @@ class Scan:
         return InputError(f"{where}: expected a whole MCAP file, found {what[:200]}")
 
 
-def _decompressed(chunk) -> bytes:
+def decompressed(chunk) -> bytes:
     """The bytes of a chunk; of a bomb not more than it says."""
     if chunk.compression == "":
         return chunk.data
