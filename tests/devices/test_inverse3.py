@@ -27,7 +27,8 @@ SAID = {
 @pytest.fixture(autouse=True)
 def patience(monkeypatch):
     """The service is a thread of a busy machine: what takes longer than in a loop is no fault."""
-    monkeypatch.setattr(inverse3, "_PATIENCE", 500_000_000)
+    monkeypatch.setattr(inverse3, "_PATIENCE", 250_000_000)
+    monkeypatch.setattr(inverse3, "_INVENTORY", 400_000_000)
     monkeypatch.setattr(inverse3, "_SHAKE", 5.0)
 
 
@@ -66,12 +67,10 @@ def test_positions_and_forces_in_the_world(service):
 def test_a_moving_hand_is_followed(service):
     with Inverse3(url=service.url) as device:
         for step in range(20):
-            service.place = np.array([0.001 * step, 0.0, 0.0])
+            service.place = np.array([0.0002 * step, 0.0, 0.0])
             device.write(np.zeros(3))
             device.read()
-        device.write(np.zeros(3))
-        device.read()
-        assert device.read()[0] == pytest.approx(0.019)
+        until(lambda: device.read()[0] == pytest.approx(0.0002 * 19))
 
 
 def test_the_newer_message_format():
