@@ -1,6 +1,7 @@
 """The Inverse3's driver against a stand-in for Haply's service."""
 
 import socket
+import time
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hapjax_devices import (
     Placement,
     RecoverableDevice,
     attached_inverse3,
+    driver,
     inverse3,
 )
 from haply_service import HaplyService
@@ -30,6 +32,7 @@ def patience(monkeypatch):
     monkeypatch.setattr(inverse3, "_PATIENCE", 250_000_000)
     monkeypatch.setattr(inverse3, "_INVENTORY", 400_000_000)
     monkeypatch.setattr(inverse3, "_SHAKE", 5.0)
+    monkeypatch.setattr(driver, "RETRY", 1_000_000)
 
 
 @pytest.fixture
@@ -112,13 +115,12 @@ def test_a_fault_while_it_pushes(service, fault):
     until(lambda: not service.force["049D"].any())
 
 
-def until(done, most=20_000):
+def until(done, seconds=30.0):
     """Ask until it is so; the service is another thread, so that takes a while, but not for ever."""
-    for _ in range(most):
-        if done():
-            return
-        socket.socket().close()  # lets the other thread run
-    raise AssertionError("it never came so")
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end, "it never came so"
+        time.sleep(1e-3)
 
 
 @pytest.mark.parametrize(
