@@ -18,6 +18,13 @@ def places():
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
 
 
+@pytest.fixture(scope="module")
+def reference(places):
+    """The arms' angles there, and their derivatives."""
+    both = jax.jit(jax.vmap(lambda p: (kinematics.inverse(p), kinematics.jacobian(p))))
+    return [np.asarray(x) for x in both(jnp.asarray(places))]
+
+
 def closed_form(position):
     """The Jacobian leg by leg, from Stamper's three angles (with c, d, e, f and s of the Falcon)."""
     a, b, c, ends, f, r, s = 0.060, 0.1025, 0.01443, 0.01125 + 0.01125, -0.025, 0.040, -0.02309
@@ -46,9 +53,8 @@ def test_there_and_back(places, dtype):
     assert np.max(np.abs(np.asarray(found) - places)) < (1e-9 if dtype == jnp.float64 else 1e-5)
 
 
-def test_the_jacobian_is_that_of_the_closed_form(places):
-    slopes = np.asarray(jax.jit(jax.vmap(kinematics.jacobian))(jnp.asarray(places)))
-    for position, slope in zip(places[:200], slopes, strict=False):
+def test_the_jacobian_is_that_of_the_closed_form(places, reference):
+    for position, slope in zip(places[:200], reference[1], strict=False):
         np.testing.assert_allclose(slope, closed_form(position), rtol=1e-9, atol=1e-9)
 
 
@@ -67,21 +73,18 @@ def test_derivatives_of_forward_in_both_modes():
         np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
-def test_the_servos_plain_numbers_are_those_of_the_reference(places):
+def test_the_servos_plain_numbers_are_those_of_the_reference(places, reference):
     """There and back, angles and Jacobian, from the workspace's middle and from the position before."""
-    angles = np.asarray(jax.jit(jax.vmap(kinematics.inverse))(jnp.asarray(places)))
-    slopes = np.asarray(jax.jit(jax.vmap(kinematics.jacobian))(jnp.asarray(places)))
-    near = places[-1]
-    for position, angle, slope in zip(places, angles, slopes, strict=True):
-        counts = counts_at(position)
+    counts = np.array([counts_at(position) for position in places])
+    np.testing.assert_allclose(
+        kinematics.AT_ZERO + kinematics.COUNT * counts, reference[0], rtol=1e-12, atol=1e-12
+    )
+    for starts in ([None] * len(places), np.roll(places, 1, axis=0)):
+        stances = [known(*pair) for pair in zip(counts, starts, strict=True)]
+        np.testing.assert_allclose([stance.position for stance in stances], places, rtol=0, atol=1e-9)
         np.testing.assert_allclose(
-            kinematics.AT_ZERO + kinematics.COUNT * counts, angle, rtol=1e-12, atol=1e-12
+            [stance.jacobian for stance in stances], reference[1], rtol=1e-7, atol=1e-7
         )
-        for start in (None, near):
-            stance = known(counts, start)
-            np.testing.assert_allclose(stance.position, position, rtol=0, atol=1e-9)
-            np.testing.assert_allclose(stance.jacobian, slope, rtol=1e-7, atol=1e-7)
-        near = position
 
 
 def test_forces_there_and_back(places):
