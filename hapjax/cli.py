@@ -304,6 +304,22 @@ def recover(recording: Positional[Path], *, out: Path | None = None) -> None:
     print(f"{target}: {found.messages.total()} messages ({each}){whole}")
 
 
+def doctor(rate: float = 1000.0, seconds: float = 2.0, json: Path | None = None) -> None:
+    """Say what rate this machine can hold, and what to change: privileges, kernel, processors, shared memory, USB.
+
+    Looks at the settings, then runs three loops: an idle one as any program, one with real-time priority where that is
+    granted, and one that steps the demo's scene. Example: hapjax doctor --json doctor.json
+
+    Args:
+        rate: Hz of the loops, 100 to 4000.
+        seconds: How long each loop runs, 0.1 to 600 s.
+        json: File for all that is said, with its figures.
+    """
+    if json is not None:
+        check_writable(json)
+    need("hapjax_devices.doctor.examine", "devices").report(rate, seconds, json)
+
+
 def _by_path(option: str, given: tuple[tuple[str, float, float], ...]) -> dict[str, tuple[float, float]]:
     """The two numbers of each path. **Raises:** `InputError` where one is named twice."""
     found: dict[str, tuple[float, float]] = {}
@@ -323,7 +339,14 @@ def _loaded(path: Path, topics) -> Recording:
 
 
 _SHELLS = ("bash", "zsh", "tcsh")
-_COMMANDS = {"demo": demo, "simulate": simulate, "fit": fit, "benchmark": benchmark, "recover": recover}
+_COMMANDS = {
+    "demo": demo,
+    "simulate": simulate,
+    "fit": fit,
+    "benchmark": benchmark,
+    "recover": recover,
+    "doctor": doctor,
+}
 
 
 def main(arguments: list[str] | None = None) -> int:

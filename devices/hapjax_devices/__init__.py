@@ -11,6 +11,8 @@ from .device import DeviceClosed as DeviceClosed
 from .device import DeviceError as DeviceError
 from .device import GimbalDevice as GimbalDevice
 from .device import RecoverableDevice as RecoverableDevice
+from .doctor import Check as Check
+from .doctor import examine as examine
 from .falcon import Falcon as Falcon
 from .falcon import attached_falcons as attached_falcons
 from .fingers import DeviceFault as DeviceFault
