@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 import bus_cases
 from bus_cases import about, numbers, publish, state
 from hapjax import InputError, Recording, load_recording
-from hapjax_devices import DeviceFault, RecorderProcess, TickPublisher, TickReader, record
+from hapjax_devices import DeviceFault, RecorderProcess, TickPublisher, TickReader, record, runs
 from hapjax_devices.recorder import growing
 
 RATE = 1000.0
@@ -245,6 +245,14 @@ def test_a_killed_servo_loses_nothing(killed):
     kind, tick, sentence = events(files["last"])[-1]
     assert (kind, tick) == ("cut", ticks["last"]) and "without a word" in sentence
     assert load_recording(files["last"]).findings == ()
+
+
+@pytest.mark.slow
+def test_what_was_killed_is_cleaned_up(killed):
+    """Also of the servo, whose services nobody closed."""
+    assert f"killed-{os.getpid()}" not in runs()
+    with TickPublisher(about(f"killed-{os.getpid()}", fingers=5)) as again:  # with other samples, too
+        assert again.run in runs()
 
 
 @pytest.mark.slow
