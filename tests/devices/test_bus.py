@@ -20,6 +20,7 @@ from hapjax_devices import (
     run,
     runs,
 )
+from hapjax_devices.bus.about import scene_file
 
 
 @pytest.fixture
@@ -157,3 +158,23 @@ def test_a_servo_puts_on_the_bus_what_it_records():
     assert np.max(ticks["force"][:, 0, 2]) > 0.5 and result.unsent == 0
     assert (said.rate, said.objects, said.devices[0]["type"]) == (1000.0, (), "VirtualDevice")
     assert 'shape = "plane"' in said.scene
+
+
+def test_the_scene_is_said_as_a_file_with_the_files_that_it_names(tmp_path):
+    """It can be loaded where they are put together again; a mesh that is in no file cannot be said."""
+    lines = ["v 0 0 0", "v 1 0 0", "v 0 1 0", "v 0 0 1", "f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4", ""]
+    for part in ("parts/a.obj", "b.obj"):
+        (tmp_path / part).parent.mkdir(exist_ok=True)
+        (tmp_path / part).write_text("\n".join(lines))
+    stones = [hapjax.load_mesh(tmp_path / part, scale=0.01) for part in ("parts/a.obj", "b.obj")]
+    scene = hapjax.Scene({f"stone{i}": hapjax.Object(stone) for i, stone in enumerate(stones)})
+    text, files, unsaid = scene_file(scene)
+    assert unsaid == "" and set(files) == {"parts/a.obj", "b.obj"}
+    (tmp_path / "again.toml").write_text(text)
+    again = hapjax.load_scene(tmp_path / "again.toml").object["stone0"].shape
+    assert isinstance(again, hapjax.Mesh)
+    np.testing.assert_array_equal(again.vertices, stones[0].vertices)
+    tips = [[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+    loose = hapjax.Mesh(tips, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    text, files, unsaid = scene_file(hapjax.Scene({"stone": hapjax.Object(loose)}))
+    assert (text, files) == ("", {}) and unsaid.startswith("object.stone.file is missing")

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -172,6 +173,16 @@ def test_a_full_disk_ends_the_recording_and_leaves_it_whole(tmp_path, monkeypatc
     recording = load_recording(path)
     assert recording.hip_t is not None and recording.hip_t.tolist() == [0, 1]
     assert [finding.kind for finding in recording.findings] == ["cut short"]
+
+
+def test_a_scene_that_is_in_no_file_is_said_to_be_missing(tmp_path):
+    why = "object.stone.file is missing"
+    told = growing.GrowingFile(tmp_path / "a.mcap", replace(about("loose"), scene="", unsaid=why), {})
+    told.finish()
+    with open(tmp_path / "a.mcap", "rb") as file:
+        reader = make_reader(file)
+        assert [run.metadata["no_scene"] for run in reader.iter_metadata()] == [why]
+        assert [attached.name for attached in reader.iter_attachments()] == ["devices.json"]
 
 
 def test_no_recording_is_written_over(tmp_path):

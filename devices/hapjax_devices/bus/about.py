@@ -59,7 +59,7 @@ class About:
         gimbals: int,
     ) -> "About":
         """What is to be said of a run of this process that begins now."""
-        text, files, unsaid = _scene_file(scene)
+        text, files, unsaid = scene_file(scene)
         return cls(
             run,
             rate,
@@ -124,7 +124,7 @@ def described(device: Device) -> dict[str, Any]:
     }
 
 
-def _scene_file(scene: Scene) -> tuple[str, dict[str, str], str]:
+def scene_file(scene: Scene) -> tuple[str, dict[str, str], str]:
     """The text of a scene file, the files beside it by name, and why there is none where there is none."""
     shapes = [thing.shape for thing in scene.object.values()]
     meshes = {Path(s.file) for s in shapes if isinstance(s, Mesh) and s.file is not None}

@@ -65,6 +65,7 @@ class GrowingFile:
         begun = datetime.fromtimestamp(about.wall_ns * 1e-9, UTC).isoformat()
         said = {"run": about.run, "rate": repr(about.rate), "began": begun, "dtype": about.dtype}
         said |= {"wall_start_ns": str(about.wall_ns), "clock_start_ns": str(about.clock_ns)}
+        said |= {"no_scene": about.unsaid} if about.unsaid else {}
         self._writer.add_metadata("hapjax.run", said | {"objects": json.dumps(about.objects)})
         attached = [("devices.json", "application/json", json.dumps(about.devices, indent=2).encode())]
         if about.scene:
