@@ -45,7 +45,7 @@ from .result import FitResult
 from .scores import widened
 from .sensors import Sensors, Setup, explicit
 from .sharding import gathered, over_devices
-from .shooting import EXPLAINED, shots
+from .shooting import ALONE, EXPLAINED, shots
 from .solve import Solutions, Trace, expect, listen, so_far, solve
 from .start import starts_of
 from .uncertainty import certainty, information
@@ -182,6 +182,9 @@ def _searches(
     scattered = scatter(first, problem.parameters, starts, spread, seed)
     begin = shots(scattered, problem, recordings)
     ends = _search(problem, begin, max_steps)
+    if len(begin) < starts and ALONE**2 <= _variance(ends.loss, problem.measured()) < EXPLAINED**2:
+        more = shots(scattered[len(begin) :], problem, recordings)
+        ends = ends.joined(_search(problem, more, max_steps, begun=len(begin)))
     if not problem.scene.moving() and _gone_astray(ends.loss, problem.measured()):  # else there are shots
         ends = ends.joined(
             _search(problem, _from_afar(problem, first, starts, seed), max_steps, begun=starts)
@@ -199,10 +202,24 @@ def _searches(
 
 def _gone_astray(losses: Float[Array, " S"], measured: int) -> bool:
     """Whether no start explains so many measured numbers, and fewer than half, or than two, ended at one loss."""
-    least = float(jnp.min(losses))
-    variance = 2 * least / measured
-    alike = int(jnp.sum(losses <= least + NOTICEABLE * variance / 2))
+    variance = _variance(losses, measured)
+    alike = _alike(losses, variance)
     return len(losses) > 1 and variance >= EXPLAINED**2 and alike < max(2, len(losses) / 2)
+
+
+def _variance(losses: Float[Array, " S"], measured: int) -> float:
+    """That of the residuals where they are least."""
+    return 2 * float(np.min(losses)) / measured
+
+
+def _alike(losses: Float[Array, " S"], variance: float) -> int:
+    """How many starts ended at the least loss but for chance, where the residuals have this variance.
+
+    Residuals that err alike say less of the numbers than as many that do not. But two ends at which the same recording has
+    other residuals are two.
+    """
+    least = float(np.min(losses))
+    return int(np.sum(np.asarray(losses) <= least + NOTICEABLE * variance / 2))
 
 
 def _from_afar(problem: Problem, first: Float[Array, " p"], starts: int, seed: int) -> Float[Array, "S p"]:
@@ -317,7 +334,7 @@ def _result(
     fisher = information(matrix, variance)
     units = {name: float(getattr(problem.noise, name)) for name in size}
     rms = {key: size[key] * units[key] for key in size}
-    near = int(np.sum(np.asarray(ends.loss) <= float(ends.loss[best]) + chance / 2))
+    near = _alike(ends.loss, min(typical, _variance(ends.loss, problem.measured())))
     reason = (
         f"interrupted after {sum(map(len, trace.losses.values()))} steps"
         if trace.interrupted
@@ -326,6 +343,7 @@ def _result(
             max(size.values()),
             near,
             len(ends.loss),
+            bool(problem.scene.moving()) and not problem.starts,
             [p.name for i, p in enumerate(said) if i in flat],
         )
     )
@@ -373,15 +391,20 @@ def _seconds(recordings: Sequence[Recording]) -> float:
     return sum(float(r.hip_t[-1] - r.hip_t[0]) for r in recordings if r.hip_t is not None)
 
 
-def _why_not(tolerant: bool, size: float, near: int, starts: int, flat: Sequence[str] = ()) -> str | None:
+def _why_not(
+    tolerant: bool, size: float, near: int, starts: int, moving: bool = False, flat: Sequence[str] = ()
+) -> str | None:
     """Why a fit does not count as converged; `None`: it does.
 
     A solver's tolerances are no evidence of the best fit: the model explains the recordings, or several starts, and no
-    small share of them, ended at the same loss; but not where a number that is `flat` has no influence.
+    small share of them, ended at the same loss; but not where a number that is `flat` has no influence. Something that is
+    `moving` may bounce to many places, at each of which a few starts end. Where others were tried and ended elsewhere,
+    a start that is alone has to explain the recordings to the noise.
     """
     if not tolerant:
         return "the solver reached max_steps before it met its tolerances"
-    if size >= EXPLAINED and near < max(2, starts / 4):
+    enough = max(2, min(3, starts), starts / 2) if moving else max(2, starts / 4)
+    if size >= (ALONE if starts > 1 else EXPLAINED) and near < enough:
         return (
             f"the residuals are {size:.1f} times the noise, and {near} of {starts} starts ended at this loss"
         )

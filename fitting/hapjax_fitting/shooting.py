@@ -24,7 +24,8 @@ from .problem import Problem, channels_of, stacked_residuals
 from .sharding import gathered
 from .solve import keep, tell
 
-EXPLAINED = 2.0  # residuals up to so many times the noise: the model explains the recordings
+EXPLAINED = 2.0  # residuals up to so many times the noise: the model explains the recordings, and
+ALONE = 1.2  # up to so many, if one end alone says so, though others were tried
 _SHORT, _FEW = 0.05, 5  # s and samples in the shortest windows but those of one step
 _GROWTH = 4  # how many times longer the next ones are
 _LANES = 8  # rollouts side by side: as many as two cores still speed up
@@ -34,6 +35,8 @@ _NEAR = 1e-3  # of a difference quotient
 _FARTHEST = 1.5  # in one descent step
 _DAMPING = 10.0 ** np.arange(-3, 5)
 _STEPS, _WORTH = 12, 0.01
+_ENOUGH = 3  # ends that agree
+_APART = 0.1  # of how far off a number may well be: ends that are nearer are one
 _FACTORS = np.log(10) * np.array([-1.2, -0.8, -0.4, 0.4, 0.8, 1.2])
 _MOST_SCANS = 4
 
@@ -41,7 +44,7 @@ _MOST_SCANS = 4
 def shots(
     starts: Float[Array, "S p"], problem: Problem, recordings: Sequence[Recording]
 ) -> Float[Array, "s p"]:
-    """Better starts for single shooting: one for each, until one of them explains the recordings or two agree.
+    """Better starts for single shooting: one for each, until one of them explains the recordings or three agree.
 
     The starts themselves where no poses were measured, or the first of them explains the recordings already; and where the
     objects' first motions are free, because then the recordings are windows themselves.
@@ -57,10 +60,18 @@ def shots(
             end = _better_of(_shot(number - 1, start, windows, single), start, single)
         found.append(end)
         losses.append(float(_loss(_residuals(end[None], single))[0]))
-        agree = len(losses) > 1 and np.sort(losses)[1] < (1 + _WORTH) * min(losses)
-        if agree or _is_explained(end, problem, single):
+        if _agree(found, losses, single) or _is_explained(end, problem, single):
             break
     return jnp.asarray(np.array(found), starts.dtype)
+
+
+def _agree(ends: Sequence[Float[np.ndarray, " p"]], losses: Sequence[float], problem: Problem) -> bool:
+    """Whether the best ends are one place: Cauchy's loss alone is much the same wherever nothing is explained."""
+    if len(ends) < _ENOUGH:
+        return False
+    first, *others = np.argsort(losses)[:_ENOUGH].tolist()
+    apart = max(np.max(np.abs(ends[first] - ends[i]) / _units(ends[first], problem)) for i in others)
+    return losses[others[-1]] < (1 + _WORTH) * losses[first] and bool(apart < _APART)
 
 
 def _windows(problem: Problem, recordings: Sequence[Recording]) -> list[Problem]:

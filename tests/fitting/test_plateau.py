@@ -44,5 +44,5 @@ def test_a_number_that_shows_nowhere_near_has_a_bound():
 
 
 def test_starts_that_agree_where_nothing_has_influence_are_no_success():
-    assert _why_not(True, 290.0, 2, 2, []) is None and _why_not(True, 1.0, 2, 2, [RADIUS]) is None
-    assert f"{RADIUS} has no influence there" in str(_why_not(True, 290.0, 2, 2, [RADIUS]))
+    assert _why_not(True, 290.0, 2, 2, flat=[]) is None and _why_not(True, 1.0, 2, 2, flat=[RADIUS]) is None
+    assert f"{RADIUS} has no influence there" in str(_why_not(True, 290.0, 2, 2, flat=[RADIUS]))
