@@ -147,5 +147,5 @@ def test_the_command_says_what_is_lost(tmp_path, capsys):
     assert main(["recover", str(path), "--out", str(tmp_path / "copy.mcap")]) == 0
     said = capsys.readouterr()
     assert "copy.mcap: 48 messages (/hip 48); the file was whole" in said.out and said.err == ""
-    assert main(["recover", str(tmp_path / "nowhere.mcap")]) == 1
-    assert "nowhere.mcap: No such file" in capsys.readouterr().err
+    assert main(["recover", str(tmp_path / "nowhere.mcap")]) == 2
+    assert "nowhere.mcap: cannot be read: No such file" in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 import io
 import mmap
+import os
 import struct
 import zlib
 from collections import Counter
@@ -37,16 +38,13 @@ class Recovery:
 def recover(path: Path, out: Path) -> Recovery:
     """Write all that is whole in an MCAP file to a new one, with an index and an end. `path` stays as it is.
 
-    **Raises:** `InputError` for what is no MCAP file or has nothing whole in it, a chunk that would unpack to far more
-    than the file's size, and an `out` that is there already or cannot be written; `OSError` if `path` cannot be opened.
+    **Raises:** `InputError` for what cannot be read, is no MCAP file or has nothing whole in it, a chunk that would unpack
+    to far more than the file's size, and an `out` that is there already or cannot be written.
     """
     writers = need("mcap.writer", "recording")
     if out.exists():
         raise InputError(f"{out}: exists; allowed: a new name for the whole file")
-    size = path.stat().st_size
-    if size < len(_MAGIC):
-        raise InputError(f"{path}: expected an MCAP file, found {size} bytes")
-    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    with _mapped(path) as data:
         if data[: len(_MAGIC)] != _MAGIC:
             raise InputError(f"{path}: expected an MCAP file, found another format")
         with replacing(out, "wb") as new:
@@ -55,6 +53,17 @@ def recover(path: Path, out: Path) -> Recovery:
             if not copy.found.messages and not copy.other:
                 raise InputError(f"{path}: expected something whole in it, found nothing")
         return copy.found
+
+
+def _mapped(path: Path) -> mmap.mmap:
+    try:
+        with open(path, "rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if size < len(_MAGIC):
+                raise InputError(f"{path}: expected an MCAP file, found {size} bytes")
+            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 class _Copy:
