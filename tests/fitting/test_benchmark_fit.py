@@ -94,6 +94,7 @@ def test_the_command(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(report, "DRAWS", {"mu, stiffness": 100})
     monkeypatch.setattr(report, "FROM_AFAR", {"mu, stiffness": 100})
     monkeypatch.setattr(speed, "COUNTS", (1, 3, 9))
+    monkeypatch.setattr(speed, "_ROUNDS", 1)
     monkeypatch.setattr(beside_mujoco, "measure", lambda recordings: BESIDE | {"recordings": recordings})
     file, folder = tmp_path / "fit.json", tmp_path / "estimates"
     assert main(["benchmark", "fit", "--quick", "--json", str(file), "--out", str(folder)]) == 0
