@@ -10,7 +10,6 @@ import sys
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -294,7 +293,9 @@ def test_a_recorder_whose_disk_is_full_says_so_and_the_servo_goes_on(killed):
 
 
 def test_a_recorder_with_nothing_to_record_says_so(tmp_path):
-    recorder = RecorderProcess("nowhere", Path(tmp_path / "a.mcap"), patience=0.0)
+    path = tmp_path / "a.mcap"
+    recorder, other = RecorderProcess("nowhere", path, 0.0), RecorderProcess("nowhere", path, 600.0)
     code, sentence = recorder.wait(60.0)
     assert code == 2 and sentence.startswith("hapjax: no run 'nowhere' is on the bus; allowed: ")
-    assert not (tmp_path / "a.mcap").exists()
+    other.stop()  # it need not wait for the run
+    assert other.wait(20.0)[0] == -signal.SIGTERM and not path.exists()

@@ -52,12 +52,17 @@ def main(arguments: list[str]) -> int:
         print("usage: python -m hapjax_devices.recorder RUN FILE.mcap [PATIENCE]", file=sys.stderr)
         return 2
     asked: list[int] = []
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: asked.append(1))
+
+    def listen() -> None:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: asked.append(1))
+
     try:
-        print(
-            record(arguments[0], Path(arguments[1]), lambda: bool(asked), patience=_seconds(*arguments[2:]))
-        )
+        # Before the run is there, there is nothing to be finished: such a signal then ends it at once.
+        patience = _seconds(*arguments[2:])
+        print(record(arguments[0], Path(arguments[1]), lambda: bool(asked), listen, patience))
+    except KeyboardInterrupt:
+        return 130
     except InputError as error:
         print(f"hapjax: {error}", file=sys.stderr)
         return 2
