@@ -52,7 +52,14 @@ def test_the_recording_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "page", ["../README.md", "index.md", "devices.md", "hardware.md", pytest.param("physics.md", marks=pytest.mark.slow)]
+    "page",
+    [
+        "../README.md",
+        "index.md",
+        "devices.md",
+        "hardware.md",
+        pytest.param("physics.md", marks=pytest.mark.slow),
+    ],
 )
 def test_a_program_prints_what_is_shown_below_it(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
