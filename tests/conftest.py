@@ -5,6 +5,8 @@ import os
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+# Two processes of the suite share the cores: threads of their own would only wait for each other.
+os.environ.setdefault("NPROC", "1")
 # The suite compiles far more than it runs: XLA's older code generator, without optimisation and in one piece, compiles in
 # about a third of the time. What runs for long asks for more: see `well_compiled` in tests/helpers.py.
 os.environ.setdefault(
@@ -21,6 +23,9 @@ if "JAX_ENABLE_X64" not in os.environ:
     jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# Tracing leaves millions of objects behind: looking through them as often as usual takes a sixth of the time.
+gc.set_threshold(100_000, 50, 100)
 
 # How fast a test runs depends on the machine: no example fails for being slow.
 hypothesis.settings.register_profile("hapjax", deadline=None)
