@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import hapjax
-from hapjax import cli
 from hapjax.cli import main
 from test_recording_mcap import bag
 
@@ -177,7 +176,7 @@ def test_an_interruption_and_a_full_disk_end_in_one_sentence(
     raised, code, monkeypatch, capsys, tmp_path, stroke
 ):
     scene = write_table(tmp_path / "table.toml", 0.5, 1000.0)
-    monkeypatch.setattr(cli, "load_scene", lambda path: (_ for _ in ()).throw(raised))
+    monkeypatch.setattr("hapjax.cli.simulate.load_scene", lambda path: (_ for _ in ()).throw(raised))
     assert main(["simulate", scene, "--hip", stroke, "--out", str(tmp_path / "o.npz")]) == code
     assert capsys.readouterr().err.count("\n") == 1
 

@@ -111,10 +111,10 @@ def shell(line, capsys):
 
 
 def test_every_command_is_described():
-    assert re.findall(r"^## `hapjax (\w+)`$", text(), re.MULTILINE) == list(cli._COMMANDS)
+    assert re.findall(r"^## `hapjax (\w+)`$", text(), re.MULTILINE) == list(cli.COMMANDS)
 
 
-@pytest.mark.parametrize("command", cli._COMMANDS)
+@pytest.mark.parametrize("command", cli.COMMANDS)
 def test_every_option_is_described(command, capsys):
     with pytest.raises(SystemExit) as ended:
         cli.main([command, "--help"])

@@ -1,0 +1,121 @@
+"""The program: which commands there are, how bad arguments are refused, and exit codes."""
+
+import os
+import sys
+from collections import Counter
+from itertools import pairwise
+from typing import Any, NoReturn
+
+import tyro
+from tyro import _errors as parse_errors
+
+from ..errors import InputError
+from .benchmark import benchmark
+from .demo import demo
+from .doctor import doctor
+from .fit import fit
+from .recover import recover
+from .simulate import simulate
+
+_SHELLS = ("bash", "zsh", "tcsh")
+COMMANDS = {
+    "demo": demo,
+    "simulate": simulate,
+    "fit": fit,
+    "benchmark": benchmark,
+    "recover": recover,
+    "doctor": doctor,
+}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line. Bad input ends with one sentence on stderr and the exit code 2.
+
+    1: the system failed (a full disk, say), or the demo missed a truth; 130: interrupted.
+    """
+    try:
+        return _run(sys.argv[1:] if arguments is None else arguments) or 0
+    except InputError as error:
+        return _say(str(error), 2)
+    except KeyboardInterrupt:
+        return _say("interrupted", 130)
+    except OSError as error:
+        return _say(f"{error.filename or 'output'}: {error.strerror or error}", 1)
+
+
+def run() -> NoReturn:
+    """The program: `main`, and its end.
+
+    What compiled code does when it is interrupted goes on in threads of its own, and would fail in the middle of taking
+    everything down. So an interrupted program ends at once.
+    """
+    code = main()
+    if code == 130:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
+def _run(arguments: list[str]) -> int | None:
+    _check_completion(arguments)
+    _check_once(arguments)
+    with parse_errors.on_parse_error(_refuse):
+        result = tyro.extras.subcommand_cli_from_dict(
+            COMMANDS,
+            prog="hapjax",
+            description="Touch, hold and identify virtual objects: friction, stiffness, torsional grip, inertia.",
+            args=arguments,
+        )
+    sys.stdout.flush()
+    return result
+
+
+def _say(sentence: str, code: int) -> int:
+    print(f"hapjax: {' '.join(sentence.split())}", file=sys.stderr)
+    return code
+
+
+def _check_once(arguments: list[str]) -> None:
+    """Refuse an option that is given twice: of all but the last nothing would be left."""
+    options = [a.split("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
+    for option, times in Counter(options).items():
+        if times > 1:
+            raise InputError(
+                f"{option} is given {times} times; allowed: once, with all of its values after it"
+            )
+
+
+def _check_completion(arguments: list[str]) -> None:
+    """Refuse shells that tyro has no completion for; it would end in a traceback."""
+    for flag, shell in pairwise([*arguments, ""]):
+        if flag in ("--tyro-print-completion", "--tyro-write-completion") and shell not in _SHELLS:
+            raise InputError(f"{flag} is {shell!r}; allowed: {', '.join(_SHELLS)}")
+
+
+def _refuse(event: parse_errors.ParseErrorEvent) -> None:
+    """Say in one sentence why the arguments are refused, in place of tyro's box of many lines."""
+    raise InputError(f"{_reason(event)}; see {event.prog} --help")
+
+
+def _reason(event: parse_errors.ParseErrorEvent) -> str:
+    match event:
+        case parse_errors.MissingArgs(missing_arguments=missing):
+            return f"missing: {', '.join(_flag(m.arg) for m in missing)}"
+        case parse_errors.MissingSubcommand(found_token=found):
+            return f"{'no command' if found is None else repr(found)} given; allowed: {', '.join(COMMANDS)}"
+        case parse_errors.InvalidChoice(argument=argument, value=value, choices=choices):
+            return f"{_flag(argument)} is {value!r}; allowed: {', '.join(choices)}"
+        case parse_errors.UnrecognizedArgs(tokens=tokens):
+            return f"unknown: {' '.join(tokens)}"
+        case parse_errors.BadValue(argument=argument, offending_value=value):
+            return f"{_flag(argument)} has " + (
+                "too few values" if value is None else f"the value {value!r} too many"
+            )
+        case parse_errors.InstantiationFailure(argument=argument, message=message):
+            return f"{'arguments' if argument is None else _flag(argument)}: {' '.join(message.split())}"
+    return "the arguments are not understood"
+
+
+def _flag(argument: Any) -> str:
+    return str(argument.lowered.metavar) if argument.is_positional() else argument.lowered.name_or_flags[-1]

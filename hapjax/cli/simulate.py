@@ -1,0 +1,64 @@
+"""`hapjax simulate`."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from tyro.conf import Positional
+
+from ..errors import within
+from ..recording import Recording, load_recording
+from ..recording.ros_topics import parsed
+from ..scene_file import load_scene
+from ..simulate import init, rollout
+
+
+def simulate(scene: Positional[Path], *, hip: Path, out: Path, topic: tuple[str, ...] = ()) -> None:
+    """Replay a path of fingertips through a scene, and write the forces (N) and poses (m) it answers with.
+
+    Example: hapjax simulate cube.toml --hip lift.npz --out answer.csv
+
+    Args:
+        scene: Scene file (TOML).
+        hip: Recording (.npz, .csv, .mcap, .parquet) whose channel hip (m, world frame) is replayed at the scene's time
+            step, and, where the scene's torsion is a gimbal, its channel gimbal (rad).
+        out: Recording to write (.npz, .csv, .mcap, .parquet): hip, force on the fingers, pose of the moving objects.
+        topic: Of a ROS 2 bag: the topics of hip, one a finger, such as hip=/left/tip,/right/tip.
+    """
+    topics = parsed(topic)
+    Recording.check_writable(out)
+    with jax.enable_x64(True):
+        loaded = load_scene(scene)
+        dt = float(loaded.integrator.dt)
+        recording = _loaded(hip, topics)
+        with within(f"{hip}: "):
+            path = recording.hip_every(dt)
+            assert recording.hip_t is not None
+            times = recording.hip_t[0] + dt * np.arange(len(path))
+            turned = loaded.torsion is not None and loaded.torsion.needs_gimbal
+            gimbals = recording.gimbal_at(times) if turned else None
+        first = None if gimbals is None else gimbals[0]
+        _, reply = rollout(loaded, init(loaded, path[0], first), path, gimbals=gimbals)
+    channels: dict[str, Any] = {
+        "hip": path,
+        "hip_t": times,
+        "force": np.asarray(reply.force),
+        "force_t": times,
+    }
+    if gimbals is not None:
+        channels |= {"gimbal": gimbals, "gimbal_t": times}
+    if loaded.moving():
+        channels |= {"pose": np.asarray(reply.pose), "pose_t": times + dt}  # a step's poses belong to its end
+    with within(f"{scene} with {hip}: the simulation ended with "):
+        answer = Recording(**channels)
+    answer.save(out)
+
+
+def _loaded(path: Path, topics) -> Recording:
+    """A recording, cleaned; what was found is said on stderr."""
+    recording = load_recording(path, topics)
+    for finding in recording.findings:
+        print(f"hapjax: {path}: {finding}", file=sys.stderr)
+    return recording
