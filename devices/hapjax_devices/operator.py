@@ -49,11 +49,11 @@ class Operator:
     Exact for a force that is constant and a path that is straight between samples, so stable for any
     period. Time is counted in samples, never taken from a clock: the same script gives the same motion.
 
-    **Arguments:** `path` (T, 3) m, where the hand wants to be at each sample, its last row from then on;
-    `period` in s between samples, above 0.
+    **Arguments:** `path` (T, 3) m, where the hand wants to be at each sample, its last row from then on, or where
+    `again`, the whole of it from the first row on, without end; `period` in s between samples, above 0.
     """
 
-    def __init__(self, path: Float[np.ndarray, "T 3"], period: float, hand: Hand):
+    def __init__(self, path: Float[np.ndarray, "T 3"], period: float, hand: Hand, again: bool = False):
         path = np.array(path, np.float64)
         if path.ndim != 2 or path.shape[1] != 3 or not len(path) or not np.all(np.isfinite(path)):
             raise InputError(
@@ -61,7 +61,7 @@ class Operator:
             )
         if not 0 < period < np.inf:
             raise InputError(f"period is {period} s; allowed: above 0")
-        self._path, self._period = path, period
+        self._path, self._period, self._again = path, period, again
         self._from_offset, self._from_velocity = hand.transition(period).T
         self._compliance = 1 / hand.stiffness
         self._sample = 0
@@ -70,15 +70,17 @@ class Operator:
 
     def advance(self, force: Float[np.ndarray, "3"]) -> None:
         """Go on to the next sample while `force` (N) pushes the hand."""
-        last = len(self._path) - 1
-        start = self._path[min(self._sample, last)]
-        end = self._path[min(self._sample + 1, last)]
+        start, end = self._goal(self._sample), self._goal(self._sample + 1)
         pace = (end - start) / self._period
         rest = force * self._compliance  # where the force alone would hold the hand, from the path
         offset, velocity = self.position - start - rest, self.velocity - pace
         self.position = end + rest + self._from_offset[0] * offset + self._from_velocity[0] * velocity
         self.velocity = pace + self._from_offset[1] * offset + self._from_velocity[1] * velocity
         self._sample += 1
+
+    def _goal(self, sample: int) -> Float[np.ndarray, "3"]:
+        count = len(self._path)
+        return self._path[sample % count if self._again else min(sample, count - 1)]
 
 
 def waypoints(

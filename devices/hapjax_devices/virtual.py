@@ -21,7 +21,8 @@ class VirtualDevice:
     norm is limited to `force_limit` (N). Each write carries the hand on by one `period` (s).
 
     **Arguments:** `path` (T, 3) m, `period` s and `hand` as for `Operator`. `gimbal` (G,) rad, the angles of the
-    fingertip's gimbal: one a period from `open` on, the last one kept; `None`: 0 always.
+    fingertip's gimbal: one a period from `open` on, the last one kept; `None`: 0 always. `again`: path and angles begin
+    anew when they have ended.
 
     **Attributes:** `path`; `operator`, the hand while the device is open; `output` (3,) N, the force that
     it puts out.
@@ -36,9 +37,10 @@ class VirtualDevice:
         force_step: float = FORCE_STEP,
         force_limit: float = FORCE_LIMIT,
         gimbal: Float[np.ndarray, "G"] | None = None,
+        again: bool = False,
     ):
         self.resolution, self.force_limit, self._force_step = resolution, force_limit, force_step
-        self.path, self._period, self._hand = path, period, hand or Hand()
+        self.path, self._period, self._hand, self._again = path, period, hand or Hand(), again
         self.gimbal = np.zeros(1) if gimbal is None else np.asarray(gimbal, np.float64)
         if self.gimbal.ndim != 1 or not self.gimbal.size or not np.isfinite(self.gimbal).all():
             raise InputError(f"gimbal has the shape {self.gimbal.shape}; allowed: (G,) finite angles in rad")
@@ -57,7 +59,7 @@ class VirtualDevice:
 
     def open(self) -> None:
         """Put the hand at the start of its path; see `Device.open`."""
-        self._operator = Operator(self.path, self._period, self._hand)
+        self._operator = Operator(self.path, self._period, self._hand, self._again)
         self._sample = 0
         self._latched = self._encode()
         self.output = np.zeros(3)
@@ -72,7 +74,8 @@ class VirtualDevice:
         """The gimbal's angle, as late as the position; see `GimbalDevice.read_gimbal`."""
         if self._operator is None:
             raise DeviceClosed("the virtual device is not open")
-        return float(self.gimbal[min(max(self._sample - 1, 0), len(self.gimbal) - 1)])
+        sample, count = max(self._sample - 1, 0), len(self.gimbal)
+        return float(self.gimbal[sample % count if self._again else min(sample, count - 1)])
 
     def write(self, force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """Push the hand for one period; see `Device.write`."""

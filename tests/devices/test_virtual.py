@@ -89,6 +89,20 @@ def test_opened_again_it_starts_again():
     np.testing.assert_array_equal(runs[0], runs[1])
 
 
+def test_a_path_that_is_gone_again_has_no_end():
+    there = moving_path(100)
+    way = np.concatenate([there, there[:0:-1]])  # and back, so that its end meets its beginning
+    angle = np.arange(len(way)) / 100
+    with VirtualDevice(way, hand=Hand(stiffness=1e6), gimbal=angle, again=True) as device:
+        readings, angles = [], []
+        for _ in range(3 * len(way)):
+            readings.append(device.read())
+            angles.append(device.read_gimbal())
+            device.write(np.zeros(3))
+    np.testing.assert_allclose(readings[1:], np.tile(way, (3, 1))[:-1], atol=1e-4)  # one sample late
+    np.testing.assert_array_equal(angles[1:], np.tile(angle, 3)[:-1])
+
+
 def test_a_force_that_is_no_number_is_refused_and_forgotten():
     with VirtualDevice(np.zeros((1, 3))) as device:
         with pytest.raises(DeviceError, match="nan"):
