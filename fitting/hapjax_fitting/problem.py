@@ -1,6 +1,6 @@
 """The least-squares problem of a fit: its residuals and the loss."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,10 +13,11 @@ from jaxtyping import Array, Float, Int
 from hapjax import Recording, Scene
 
 from .lengths import alike
+from .noise import spread_of
 from .observation import PERFECT, Noise, Observation, Samples, observation_of, residuals
 from .parameters import Parameter, moves_surface, report, reported, stems_of, values_of, with_values
 from .priors import Priors
-from .robust import rooted, unrooted
+from .robust import rooted, spreads, unrooted
 from .sensors import Sensors, Setup
 from .sharding import each, gathered
 from .solve import with_loss
@@ -244,3 +245,16 @@ def loss_at(free: Float[Array, " p"], problem: Problem) -> Float[Array, ""]:
 def residuals_at(free: Float[Array, " p"], problem: Problem) -> np.ndarray:
     """`stacked_residuals`, by the program that `loss_at` compiled."""
     return gathered(with_loss(stacked_residuals, free, problem)[1])
+
+
+def spread_at(
+    problem: Problem, residuals: Float[np.ndarray, " n"], noise: Mapping[str, float] | None
+) -> tuple[dict[str, float], Float[np.ndarray, " m"], float]:
+    """Of each channel the root mean square of its residuals; of each residual what variance it stands for in the
+    covariance; and what variance they stand for in the loss, on average."""
+    channels = channels_of(residuals, problem)
+    size, variance = spread_of(channels, noise, problem.fitted())
+    typical = float(np.mean(variance))
+    if problem.loss != "squares":
+        typical, variance = spreads(channels, noise, problem.loss)
+    return size, variance, typical

@@ -65,7 +65,7 @@ def test_with_nothing_found_yet_an_interrupt_goes_on(monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(sys.modules["hapjax_fitting.fit"], "shots", stop)
+    monkeypatch.setattr(sys.modules["hapjax_fitting.search"], "shots", stop)
     with pytest.raises(KeyboardInterrupt):
         fitted()
 

@@ -8,8 +8,8 @@ import pytest
 from fitting_cases import SIGMA, forces
 from hapjax import Object, Recording, Scene, Sphere, Surface
 from hapjax_fitting import fit
-from hapjax_fitting.fit import _why_not
 from hapjax_fitting.report import in_words
+from hapjax_fitting.success import why_not
 
 RADIUS, STEPS = "object.ball.radius", 60
 T = 1e-3 * np.arange(STEPS)
@@ -44,5 +44,5 @@ def test_a_number_that_shows_nowhere_near_has_a_bound():
 
 
 def test_starts_that_agree_where_nothing_has_influence_are_no_success():
-    assert _why_not(True, 290.0, 2, 2, flat=[]) is None and _why_not(True, 1.0, 2, 2, flat=[RADIUS]) is None
-    assert f"{RADIUS} has no influence there" in str(_why_not(True, 290.0, 2, 2, flat=[RADIUS]))
+    assert why_not(True, 290.0, 2, 2, flat=[]) is None and why_not(True, 1.0, 2, 2, flat=[RADIUS]) is None
+    assert f"{RADIUS} has no influence there" in str(why_not(True, 290.0, 2, 2, flat=[RADIUS]))

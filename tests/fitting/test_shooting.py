@@ -10,12 +10,12 @@ import pytest
 from fitting_cases import held_cube, shaken_cube
 from hapjax import Body, Box, Contact, Object, Plane, Recording, Scene, World, cast, init, rollout
 from hapjax_fitting import fit
-from hapjax_fitting.fit import _gone_astray, _why_not
 from hapjax_fitting.noise import noise_of
 from hapjax_fitting.parameters import free_parameters
 from hapjax_fitting.problem import Problem, grouped, loss_at, stacked_residuals
 from hapjax_fitting.shooting import shots
 from hapjax_fitting.solve import Trace, listen, solve
+from hapjax_fitting.success import gone_astray, why_not
 
 MASS, STIFFNESS = FREE = ["object.cube.body.mass", "object.cube.surface.stiffness"]
 
@@ -103,19 +103,19 @@ def test_where_no_pose_was_measured_the_starts_are_as_they_were():
 
 
 def test_a_fit_that_does_not_explain_the_data_needs_two_starts_that_agree():
-    assert _why_not(True, 1.1, 1, 4) is None and _why_not(True, 5.0, 2, 4) is None
-    assert _why_not(True, 1.9, 1, 1) is None and "1 of 4" in (_why_not(True, 1.9, 1, 4) or "")
-    assert "2 of 3" in (_why_not(True, 5.0, 2, 3, True) or "") and _why_not(True, 5.0, 4, 8, True) is None
+    assert why_not(True, 1.1, 1, 4) is None and why_not(True, 5.0, 2, 4) is None
+    assert why_not(True, 1.9, 1, 1) is None and "1 of 4" in (why_not(True, 1.9, 1, 4) or "")
+    assert "2 of 3" in (why_not(True, 5.0, 2, 3, True) or "") and why_not(True, 5.0, 4, 8, True) is None
     assert (
-        _why_not(True, 5.04, 1, 4)
+        why_not(True, 5.04, 1, 4)
         == "the residuals are 5.0 times the noise, and 1 of 4 starts ended at this loss"
     )
-    assert "3 of 16" in (_why_not(True, 4.7, 3, 16) or "") and _why_not(True, 4.7, 4, 16) is None
-    assert "max_steps" in (_why_not(False, 1.0, 4, 4) or "")
+    assert "3 of 16" in (why_not(True, 4.7, 3, 16) or "") and why_not(True, 4.7, 4, 16) is None
+    assert "max_steps" in (why_not(False, 1.0, 4, 4) or "")
 
 
 @pytest.mark.parametrize(("alike", "noises", "stray"), [(3, 4.7, True), (8, 4.7, False), (3, 1.0, False)])
 def test_starts_of_which_few_agree_on_what_explains_nothing_have_gone_astray(alike, noises, stray):
     places = np.arange(16)
     losses = jnp.asarray(500 * noises**2 * (1.0 + np.where(places < alike, 0, places)))
-    assert _gone_astray(losses, 1000) is stray
+    assert gone_astray(losses, 1000) is stray
