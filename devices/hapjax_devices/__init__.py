@@ -3,6 +3,7 @@
 from .bus import About as About
 from .bus import Broadcast as Broadcast
 from .bus import Event as Event
+from .bus import Numbers as Numbers
 from .bus import TickPublisher as TickPublisher
 from .bus import TickReader as TickReader
 from .bus import runs as runs

@@ -1,9 +1,10 @@
 """The servo loop: read the fingers, step the scene, push the fingers, a thousand times a second."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
+from itertools import count
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +14,7 @@ import hapjax
 from hapjax import InputError, Scene
 from hapjax.recording import Recording
 
-from .bus import About, Broadcast, TickPublisher
+from .bus import About, Broadcast, Inbox, TickPublisher
 from .device import Device, DeviceError, GimbalDevice
 from .fingers import DeviceFault, Fingers
 from .passivity import Passivity, PassivityControl
@@ -21,6 +22,7 @@ from .realtime import MonotonicClock, Pacer, uncollected, undisturbed
 from .safety import ForceGuard
 from .sensor import ForceSensor, PoseTracker
 
+LAST = 1.0  # s of a run without an end that its result has
 WARM_UP = 50  # calls before the first deadline: the first ones of a compiled function are slow
 
 
@@ -32,7 +34,8 @@ class ServoResult:
     `missed` deadlines; how many force commands were `not_finite` or `limited`; `refused`, a sentence for each
     privilege that the system did not grant; `passivity`, what its control saw and did, `None` where it was off; `lost`,
     at how many ticks the scene left the range of sense, and no force was put out; the `faults` of devices that came
-    back, or might have; how many ticks the bus did not take, `unsent`.
+    back, or might have; how many ticks the bus did not take, `unsent`. Of a run without an end the recording and the times
+    are those of its last second.
     """
 
     recording: Recording
@@ -61,7 +64,7 @@ class ServoResult:
 def run(
     scene: Scene,
     devices: Sequence[Device],
-    duration: float,
+    duration: float | None,
     rate: float = 1000.0,
     *,
     force_sensor: ForceSensor | None = None,
@@ -69,6 +72,8 @@ def run(
     realtime: bool = True,
     passivity: Passivity | None = None,
     broadcast: Broadcast | None = None,
+    stopped: Callable[[], bool] | None = None,
+    live: Sequence[str] = (),
 ) -> ServoResult:
     """Let the fingers on `devices` feel a scene for `duration` seconds, and record it.
 
@@ -80,12 +85,16 @@ def run(
     **Arguments:**
 
     - `devices`, one a finger; `run` opens and closes them.
+    - `duration` in s; `None`: until `stopped`, with the last second as the recording.
     - `rate` in Hz, above 0; the step's dt is 1 / rate, whatever the scene's integrator says.
     - `force_sensor`, `pose_tracker`: each measures at every tick that is its turn, so its rate goes a whole
         number of times into the loop's. `None`: the recording is without that channel.
     - `realtime`: `False` runs as fast as it can, with the same recording on virtual devices.
     - `passivity`: keeps each device passive by damping it where its loop gives out energy. `None`: off, at no cost.
     - `broadcast`: puts every tick on the bus, for a recorder or a display in a process of its own. `None`: off, at no cost.
+    - `stopped`: is asked after each tick whether that was the last.
+    - `live`: paths of numbers of the scene, such as `object.cube.surface.mu`, that other processes may change while the loop
+        goes on; see `Numbers`. They need a `broadcast`.
 
     A scene whose torsion is a gimbal needs devices that are each a `GimbalDevice`; the recording then has the channel
     `gimbal`, exactly what the step got.
@@ -97,6 +106,8 @@ def run(
     that does not even open, and where one reads NaN.
     """
     ticks = _ticks(duration, rate)
+    if live and broadcast is None:
+        raise InputError(f"live is {', '.join(live)} without a broadcast; allowed: with one")
     turned = scene.torsion is not None and scene.torsion.needs_gimbal
     if turned and not all(isinstance(device, GimbalDevice) for device in devices):
         raise InputError(
@@ -114,15 +125,16 @@ def run(
         hip = np.stack([device.read() for device in devices])
         gimbals = [device for device in devices if isinstance(device, GimbalDevice)] if turned else []
         angles = [np.array([device.read_gimbal() for device in gimbals])] if turned else []
-        packed = hapjax.pack(scene, hip, 1 / rate, *angles)
+        packed = hapjax.pack(scene, hip, 1 / rate, *angles, live=live)
         log = _Log(ticks, rate, packed, force_sensor, pose_tracker, turned)
         guard = ForceGuard(np.array([device.force_limit for device in devices]))
         control = None if passivity is None else PassivityControl(passivity, 1 / rate, hip)
-        bus = None
+        bus = inbox = None
         if broadcast is not None:
             places = _pose_places(packed).tolist() if scene.moving() else []
             about = About.of(broadcast.run, rate, scene, packed, places, devices, len(gimbals))
             bus = stack.enter_context(TickPublisher(about))
+            inbox = stack.enter_context(Inbox(about, scene, bus)) if live else None
             bus.wait_for(broadcast.readers, broadcast.patience)
         for _ in range(WARM_UP):
             packed.force(packed.call(packed.start, *(x.astype(packed.dtype) for x in (hip, *angles))))
@@ -131,13 +143,14 @@ def run(
         fingers = Fingers(devices, rate)
         stack.enter_context(fingers.let_go())
         pacer = Pacer(round(1e9 / rate), MonotonicClock()) if realtime else None
-        _loop(packed, fingers, hip, gimbals, guard, control, log, pacer, bus)
+        _loop(packed, fingers, hip, gimbals, guard, control, log, pacer, bus, inbox, stopped)
     missed = 0 if pacer is None else pacer.missed
     recording = log.recording()
+    lateness_us, compute_us = log.times()
     return ServoResult(
         recording,
-        log.lateness_us,
-        log.compute_us,
+        lateness_us,
+        compute_us,
         missed,
         guard.not_finite,
         guard.limited,
@@ -159,12 +172,14 @@ def _loop(
     log: "_Log",
     pacer: Pacer | None,
     bus: TickPublisher | None,
+    inbox: Inbox | None,
+    stopped: Callable[[], bool] | None,
 ) -> None:
     memory, hip = packed.start, first.astype(packed.dtype)
     angle = np.empty(len(gimbals), packed.dtype)
     inputs = (hip, angle) if gimbals else (hip,)
     output = np.empty((packed.fingers, 3))
-    for tick in range(len(log.hip)):
+    for tick in count() if log.ticks is None else range(log.ticks):
         late = 0 if pacer is None else pacer.wait()
         began = time.perf_counter_ns()
         fingers.read(tick, hip)
@@ -174,6 +189,8 @@ def _loop(
             raise DeviceError(f"tick {tick}: the devices read {hip.tolist()} m; a position must be finite")
         if not np.isfinite(angle).all():
             raise DeviceError(f"tick {tick}: the gimbals read {angle.tolist()} rad; an angle must be finite")
+        if inbox is not None:
+            memory = inbox.put(tick, memory)
         memory = packed.call(memory, *inputs)
         lost = packed.is_lost(memory)
         log.lost += lost
@@ -190,52 +207,70 @@ def _loop(
             missed = 0 if pacer is None else pacer.missed
             counts = (missed, guard.not_finite, guard.limited, log.lost)
             bus.publish(tick, began, late * 1e-3, worked, counts, fingers, hip, angle, output, memory)
-        log.lateness_us[tick] = late * 1e-3
-        log.compute_us[tick] = (time.perf_counter_ns() - began) * 1e-3
+        log.time(tick, late * 1e-3, (time.perf_counter_ns() - began) * 1e-3)
+        if stopped is not None and stopped():
+            break
 
 
 class _Log:
-    """The arrays of a recording, all made before the loop begins."""
+    """The arrays of a recording, all made before the loop begins; of a run without an end, of its last second."""
 
     def __init__(self, ticks, rate, packed: hapjax.PackedStep, force_sensor, pose_tracker, turned: bool):
-        self._rate = rate
+        self._rate, self.ticks, self._done = rate, ticks, 0
         self._force_sensor, self._pose_tracker = force_sensor, pose_tracker
-        self.hip = np.zeros((ticks, packed.fingers, 3))
-        self.gimbal = np.zeros((ticks, packed.fingers)) if turned else None
-        self.lateness_us = np.zeros(ticks)
-        self.compute_us = np.zeros(ticks)
+        kept = max(1, round(LAST * rate)) if ticks is None else ticks
+        self.hip = np.zeros((kept, packed.fingers, 3))
+        self.gimbal = np.zeros((kept, packed.fingers)) if turned else None
+        self._times = np.zeros((2, kept))
         self.lost = 0
         if force_sensor is not None:
             self._force_every = _every("force_sensor", force_sensor.rate, rate)
-            self._force = np.zeros((-(-ticks // self._force_every), packed.fingers, 3))
+            self._force = np.zeros((-(-kept // self._force_every), packed.fingers, 3))
         if pose_tracker is not None:
             self._pose_every = _every("pose_tracker", pose_tracker.rate, rate)
             self._pose_at = _pose_places(packed)
-            self._pose = np.zeros((ticks // self._pose_every, *self._pose_at.shape))
+            self._pose = np.zeros((kept // self._pose_every, *self._pose_at.shape))
 
     def add(self, tick: int, hip, angle, output, memory) -> None:
         """Note what a tick got, put out and moved."""
-        self.hip[tick] = hip
+        row = tick % len(self.hip)
+        self.hip[row] = hip
         if self.gimbal is not None:
-            self.gimbal[tick] = angle
+            self.gimbal[row] = angle
         if self._force_sensor is not None and tick % self._force_every == 0:
-            self._force[tick // self._force_every] = self._force_sensor.measure(output)
+            self._force[tick // self._force_every % len(self._force)] = self._force_sensor.measure(output)
         if self._pose_tracker is not None and (tick + 1) % self._pose_every == 0:
             pose = np.asarray(memory)[self._pose_at]
-            self._pose[tick // self._pose_every] = self._pose_tracker.measure(pose)
+            self._pose[tick // self._pose_every % len(self._pose)] = self._pose_tracker.measure(pose)
+
+    def time(self, tick: int, lateness_us: float, compute_us: float) -> None:
+        """Note how late a tick began and how long it worked: it is done."""
+        self._times[:, tick % len(self.hip)] = lateness_us, compute_us
+        self._done = tick + 1
+
+    def times(self) -> Float[np.ndarray, "2 T"]:
+        """Lateness and work, us."""
+        return _kept(self._times.T, self._done)[1].T
 
     def recording(self) -> Recording:
         """What was logged."""
-        channels = {"hip": self.hip, "hip_t": np.arange(len(self.hip)) / self._rate}
+        ticks, hip = _kept(self.hip, self._done)
+        channels = {"hip": hip, "hip_t": ticks / self._rate}
         if self.gimbal is not None:
-            channels |= {"gimbal": self.gimbal, "gimbal_t": channels["hip_t"]}
+            channels |= {"gimbal": _kept(self.gimbal, self._done)[1], "gimbal_t": channels["hip_t"]}
         if self._force_sensor is not None:
-            times = np.arange(len(self._force)) * self._force_every / self._rate
-            channels |= {"force": self._force, "force_t": times}
-        if self._pose_tracker is not None and len(self._pose):
-            times = np.arange(1, len(self._pose) + 1) * self._pose_every / self._rate
-            channels |= {"pose": self._pose, "pose_t": times}
+            samples, force = _kept(self._force, -(-self._done // self._force_every))
+            channels |= {"force": force, "force_t": samples * self._force_every / self._rate}
+        if self._pose_tracker is not None and self._done >= self._pose_every and len(self._pose):
+            samples, pose = _kept(self._pose, self._done // self._pose_every)
+            channels |= {"pose": pose, "pose_t": (samples + 1) * self._pose_every / self._rate}
         return Recording(**channels)
+
+
+def _kept(ring: Float[np.ndarray, "K ..."], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of so many rows that were put into a ring the numbers of those that it has still, and these rows."""
+    rows = np.arange(max(0, count - len(ring)), count)
+    return rows, ring[rows % len(ring)]
 
 
 def _pose_places(packed: hapjax.PackedStep) -> np.ndarray:
@@ -246,9 +281,11 @@ def _pose_places(packed: hapjax.PackedStep) -> np.ndarray:
     return np.stack(rows).astype(int)
 
 
-def _ticks(duration: float, rate: float) -> int:
+def _ticks(duration: float | None, rate: float) -> int | None:
     if not 0 < rate < np.inf:
         raise InputError(f"rate is {rate} Hz; allowed: above 0")
+    if duration is None:
+        return None
     if not 1 <= duration * rate < 1e9:
         raise InputError(f"duration is {duration} s; allowed: at least one period of {1 / rate:g} s, finite")
     return round(duration * rate)

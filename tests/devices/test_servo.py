@@ -163,8 +163,8 @@ def broken_step(monkeypatch, after, answer):
     """Have the packed step do `answer(memory)` once it has been called `after` times in the loop."""
     real_pack = hapjax.pack
 
-    def pack(*arguments):
-        packed = real_pack(*arguments)
+    def pack(*arguments, **options):
+        packed = real_pack(*arguments, **options)
         calls = iter(range(servo.WARM_UP + after))
 
         def call(memory, hip):

@@ -4,7 +4,7 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,8 @@ class About:
     numbers in the packed step's `memory`, of `dtype`; the moving `objects` and for each where in the memory its x y z
     qw qx qy qz are, `pose_at`; the `devices`, described; `scene`, its scene file's text, and the `files` that it names,
     each with where it lies; `unsaid`, why there is no scene; the id of the `process`; when it began by the wall clock
-    (`wall_ns`, ns since 1970) and by the clock of its ticks (`clock_ns`).
+    (`wall_ns`, ns since 1970) and by the clock of its ticks (`clock_ns`); of each `live` number's path from where to
+    where in the memory it is.
     """
 
     run: str
@@ -46,6 +47,7 @@ class About:
     process: int
     wall_ns: int
     clock_ns: int
+    live: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -76,7 +78,13 @@ class About:
             os.getpid(),
             time.time_ns(),
             time.perf_counter_ns(),
+            {path: (place.start, place.stop) for path, place in packed.live.items()},
         )
+
+    @property
+    def numbers(self) -> np.dtype:
+        """A sample of all live numbers."""
+        return np.dtype([("values", "<f8", (sum(end - first for first, end in self.live.values()),))])
 
     @property
     def tick(self) -> np.dtype:
@@ -110,6 +118,7 @@ class About:
         for name in ("objects", "devices"):
             said[name] = tuple(said[name])
         said["pose_at"] = tuple(map(tuple, said["pose_at"]))
+        said["live"] = {path: tuple(places) for path, places in said["live"].items()}
         return cls(**said)
 
 

@@ -17,6 +17,7 @@ from hapjax import InputError
 from hapjax.extras import need
 
 READERS = 6  # at a time: a recorder, a viewer, a fit, and others that come while these are still being let go
+SENDERS = 6  # of live numbers, at a time
 LATE = 1.25  # s, by how much a reader may be late before samples are lost to it
 EVENTS = 256  # that are kept for a reader
 TEXT = 480  # bytes of an event's sentence
@@ -77,6 +78,24 @@ def about(node: Any, run: str) -> Any:
     """The service that says what a run is, to be opened or created."""
     iox = iceoryx()
     return _keeping(node, f"{run}/about", iox.Slice[ctypes.c_uint8], 1)
+
+
+def numbers(node: Any, run: str, sample: np.dtype) -> Any:
+    """The service by which a run is given live numbers, to be opened or created: many may send, the servo takes."""
+    builder = node.service_builder(iceoryx().ServiceName.new(f"{run}/numbers"))
+    builder = builder.publish_subscribe(payload("Numbers", sample)).enable_safe_overflow(True)
+    builder = builder.history_size(0).subscriber_max_buffer_size(SENDERS).max_subscribers(1)
+    return builder.max_publishers(SENDERS).max_nodes(4 * SENDERS)
+
+
+def send(port: Any, name: str, record: np.ndarray) -> None:
+    """Publish one record."""
+    port.send_copy(payload(name, record.dtype).from_buffer_copy(record.tobytes()))
+
+
+def values(sample: Any, dtype: np.dtype) -> np.ndarray:
+    """A copy of the numbers of a sample that was received."""
+    return np.frombuffer(ctypes.string_at(sample.payload_ptr, dtype.itemsize), dtype)[0]["values"]
 
 
 def depth(rate: float) -> int:

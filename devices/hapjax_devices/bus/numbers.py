@@ -1,0 +1,186 @@
+"""Live numbers of a run's scene: set from any process, taken by the servo between two ticks."""
+
+import time
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hapjax import InputError, Scene
+from hapjax.paths import number_at, with_numbers
+from hapjax.scene_file import scene_from_dict
+
+from . import services
+from .about import About
+from .publisher import TickPublisher
+from .reader import TickReader
+
+_AGAIN = 0.05  # s after which numbers that nobody has taken are sent again: the servo may not know of this sender yet
+
+
+class Inbox:
+    """The servo's end: new numbers go into the packed step's memory, where the bus and so a recording have them too.
+
+    They were checked before they were sent. Here, in the middle of a loop, there is time only to see that each is finite
+    and not below what is allowed.
+
+    **Arguments:** `about` the run; its `scene`; the `bus`, on which it is said what was taken and what was refused.
+
+    **Raises:** `InputError` where there is no shared memory to be had.
+    """
+
+    def __init__(self, about: About, scene: Scene, bus: TickPublisher):
+        self._live, self._bus = about.live, bus
+        self._first = min(first for first, _ in about.live.values())
+        self._low = np.concatenate(
+            [np.full(end - at, _low(scene, path)) for path, (at, end) in self._live.items()]
+        )
+        self._sample, self._dtype = about.numbers, np.dtype(about.dtype)
+        self._node = services.join(about.run)
+        with services.said(f"the live numbers of {about.run}"):
+            self._service = services.numbers(self._node, about.run, about.numbers).create()
+            self._port = self._service.subscriber_builder().create()
+
+    def put(self, tick: int, memory: Any) -> Any:
+        """The memory for the step of a tick: with the newest numbers that came, or, where none did, as it is."""
+        sample = self._port.receive()
+        if sample is None:
+            return memory
+        while sample is not None:
+            values = services.values(sample, self._sample)
+            sample = self._port.receive()
+        new = np.array(memory)
+        mine = new[self._first : -1]
+        values = values.astype(self._dtype)
+        if np.array_equal(values, mine):
+            return memory
+        # Written so that NaN is not allowed either.
+        if not (np.all(values >= self._low) and np.all(values < np.inf)):
+            self._bus.event("refused", f"numbers refused at tick {tick}: {self._said(values)}")
+            return memory
+        mine[:] = values
+        self._bus.event("numbers", f"from tick {tick} on {self._said(values)}")
+        return new
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._port.delete()
+        self._service = self._node = None
+
+    def __enter__(self) -> "Inbox":
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self.close()
+
+    def _said(self, values: np.ndarray) -> str:
+        parts = {path: values[a - self._first : b - self._first] for path, (a, b) in self._live.items()}
+        return ", ".join(f"{path} is {' '.join(f'{v:.6g}' for v in each)}" for path, each in parts.items())
+
+
+class Numbers:
+    """The live numbers of a run, read and set from any process of the same user.
+
+    **Arguments:** `run`, its name; `patience`, s to wait for it to begin.
+
+    **Attributes:** `about` the run.
+
+    **Raises:** `InputError` where there is no such run, or it has no live numbers.
+    """
+
+    def __init__(self, run: str, patience: float = 20.0):
+        self._reader = TickReader(run, patience)
+        self.about = self._reader.about
+        if not self.about.live:
+            self._reader.close()
+            raise InputError(f"the run {run} has no live numbers; allowed: a run that was begun with some")
+        self._scene = _scene(self.about)
+        self._node = services.join(run)
+        with services.said(f"the live numbers of {run}"):
+            self._service = services.numbers(self._node, run, self.about.numbers).open()
+            self._port = self._service.publisher_builder().create()
+        self._now = {path: np.asarray(number_at(self._scene, path)) for path in self.about.live}
+
+    def now(self) -> dict[str, np.ndarray]:
+        """The numbers of the newest tick, by their paths."""
+        ticks = self._reader.take()
+        if len(ticks):
+            self._note(ticks["memory"][-1])
+        return dict(self._now)
+
+    def set(self, values: Mapping[str, Any], timeout: float = 5.0) -> int:
+        """Give the run other numbers, all at once; returns the tick from which on it has them.
+
+        **Arguments:** `values` by path; those that are left out stay. `timeout`, s until the run is to have taken them.
+
+        **Raises:** `InputError` for a path that is not live, for values that the scene cannot have, and where the run does
+        not take them in time.
+        """
+        for path in values:
+            if path not in self.about.live:
+                raise InputError(f"{path} is not live; allowed: {', '.join(self.about.live)}")
+        new = {**self.now(), **values}
+        changed = with_numbers(self._scene, new)
+        wanted = np.concatenate([np.ravel(np.asarray(number_at(changed, path))) for path in self.about.live])
+        until, sent = time.monotonic() + timeout, -np.inf
+        while time.monotonic() < until and self._reader.is_alive():
+            if time.monotonic() > sent + _AGAIN:
+                services.send(self._port, "Numbers", np.array([(wanted,)], self.about.numbers))
+                sent = time.monotonic()
+            ticks = self._reader.take()
+            first = min(at for at, _ in self.about.live.values())
+            held = ticks["memory"][:, first : first + len(wanted)]
+            there = np.flatnonzero((held == wanted.astype(held.dtype)).all(axis=1))
+            if len(there):
+                self._note(ticks["memory"][there[0]])
+                return int(ticks["tick"][there[0]])
+            time.sleep(2e-3)
+        raise InputError(
+            f"the run {self.about.run} has not taken the numbers in {timeout:g} s; allowed: a run that goes on"
+        )
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._port.delete()
+        self._service = self._node = None
+        self._reader.close()
+
+    def __enter__(self) -> "Numbers":
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self.close()
+
+    def _note(self, memory: np.ndarray) -> None:
+        for path, (first, end) in self.about.live.items():
+            self._now[path] = memory[first:end].reshape(self._now[path].shape)
+
+
+def _scene(about: About) -> Scene:
+    """The scene that a run says it has. **Raises:** `InputError` where it cannot say."""
+    if not about.scene:
+        raise InputError(
+            f"the run {about.run} does not say what its scene is ({about.unsaid}); allowed: one that does"
+        )
+    folder = None
+    for name, place in about.files.items():
+        folder = Path(place).parents[len(Path(name).parts) - 1]
+    return scene_from_dict(tomllib.loads(about.scene), folder)
+
+
+def _low(scene: Scene, path: str) -> float:
+    """The least that a scene takes for each of the numbers at a path, -inf where they may be below 0 or are a matrix."""
+    number = np.asarray(number_at(scene, path))
+    if number.ndim > 1 or _takes(scene, path, np.full(number.shape, -1.0)):
+        return -np.inf
+    return 0.0 if _takes(scene, path, np.zeros(number.shape)) else float(np.finfo(number.dtype).tiny)
+
+
+def _takes(scene: Scene, path: str, value: np.ndarray) -> bool:
+    try:
+        with_numbers(scene, {path: value})
+    except InputError:
+        return False
+    return True
