@@ -1,5 +1,7 @@
 """Haptic devices, virtual ones too, and the servo loop that lets fingers feel a scene through them."""
 
+from .attached import Attached as Attached
+from .attached import attached as attached
 from .bus import About as About
 from .bus import Broadcast as Broadcast
 from .bus import Event as Event

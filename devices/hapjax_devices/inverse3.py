@@ -20,6 +20,7 @@ from .realtime import Clock
 
 URL = "ws://localhost:10001"
 RESOLUTION = 1e-5  # m
+FORCE_LIMIT = 5.0  # N, unless another is given
 _SHAKE = 0.005  # s for TCP and the websocket's handshake: the service is on this computer, and a loop may be waiting
 _INVENTORY = 1_000_000_000  # ns until the service has said what is attached
 _PATIENCE = 2_000_000  # ns that an overdue reply is waited for
@@ -68,7 +69,7 @@ class Inverse3(Driver):
         self,
         device_id: str | None = None,
         placement: Placement | None = None,
-        force_limit: float = 5.0,
+        force_limit: float = FORCE_LIMIT,
         message_format: Literal["3.1", "3.5"] = "3.1",
         url: str = URL,
         clock: Clock | None = None,
@@ -229,6 +230,8 @@ def _connected(url: str, seconds: float, name: str) -> Any:
     websocket = need("websocket", "inverse3")
     try:
         return websocket.create_connection(url, timeout=seconds, skip_utf8_validation=True)
+    except ValueError:
+        raise InputError(f"url of Haply's service is {url!r}; allowed: ws://HOST:PORT") from None
     except (OSError, websocket.WebSocketException) as error:
         refused = isinstance(error, OSError) and error.errno == errno.ECONNREFUSED
         said = "no program listens there" if refused else str(error) or type(error).__name__

@@ -12,6 +12,7 @@ from tyro import _errors as parse_errors
 from ..errors import InputError
 from .benchmark import benchmark
 from .demo import demo
+from .devices import devices
 from .doctor import doctor
 from .fit import fit
 from .recover import recover
@@ -24,6 +25,7 @@ COMMANDS = {
     "fit": fit,
     "benchmark": benchmark,
     "recover": recover,
+    "devices": devices,
     "doctor": doctor,
 }
 
