@@ -1,12 +1,16 @@
 """What gradients and batches cost: sizes, refusals, and the scene that MuJoCo shares."""
 
+import os
+import time
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import hapjax
-from hapjax.benchmark import _grip, batch, gradient
+from hapjax.benchmark import _grip, batch, gradient, gradient_settings
 from hapjax.cli import main
 
 
@@ -22,16 +26,11 @@ def test_the_fingers_hold_the_cube_and_lift_it():
 @pytest.mark.slow
 def test_the_gradients_report(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(gradient, "PARAMETERS", (1, 2))
-    figures = gradient.measure(None, 3, steps=20, lengths=(256, 4096))
-    assert list(figures["times"]) == [
-        "forward pass",
-        "reverse",
-        "reverse, checkpoint",
-        "forward, 1",
-        "forward, 2",
-    ]
-    assert figures["times"]["forward pass"]["ratio"] == 1
-    assert all(row["run_s"] > 0 and row["compile_s"] > 0 for row in figures["times"].values())
+    figures = gradient.measure(None, 3, steps=20, lengths=(256, 4096), settings={})
+    own = figures["times"]["as it is"]
+    assert list(own) == ["forward pass", "reverse", "reverse, checkpoint", "forward, 1", "forward, 2"]
+    assert own["forward pass"]["ratio"] == 1
+    assert all(row["run_s"] > 0 and row["compile_s"] > 0 for row in own.values())
     plain, spared = figures["memory"]["without checkpoint"], figures["memory"]["checkpoint"]
     assert plain["exponent"] > 0.8 and spared["exponent"] < 0.6
     assert spared["bytes"][1] < plain["bytes"][1] / 3
@@ -43,6 +42,53 @@ def test_the_gradients_report(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(gradient, "measure", lambda scene, fingers: figures)
     assert main(["benchmark", "gradient", "--json", str(tmp_path / "f.json")]) == 0
     assert "reverse, checkpoint" in capsys.readouterr().out and (tmp_path / "f.json").stat().st_size > 100
+
+
+def pauses(unit: float):
+    """Programs that take as long as the environment says; the first call of each takes long."""
+    called = set()
+
+    def pause(times):
+        first, _ = times not in called, called.add(times)
+        time.sleep(times * unit * (10 if first else float(os.environ.get("SLOWER", "1"))))
+
+    return {"pass": (partial(pause, 1), 0.5), "gradient": (partial(pause, 3), float(os.getpid()))}
+
+
+def test_settings_are_those_of_processes_of_their_own():
+    found = gradient_settings.side_by_side(pauses, (0.01,), {"slower": {"SLOWER": "4"}})
+    assert "SLOWER" not in os.environ and list(found) == ["as it is", "slower"]
+    for name, times in (("as it is", 1), ("slower", 4)):
+        assert found[name]["pass"]["run_s"] >= 0.01 * times and found[name]["pass"]["compile_s"] == 0.5
+        assert found[name]["gradient"]["run_s"] >= 0.03 * times
+        ratio = found[name]["gradient"]["run_s"] / found[name]["pass"]["run_s"]
+        assert found[name]["gradient"]["ratio"] == ratio
+    assert (
+        found["as it is"]["gradient"]["compile_s"] == os.getpid() != found["slower"]["gradient"]["compile_s"]
+    )
+    table = gradient._time_table(
+        {"steps": 1, "integrator": "", "dtype": "", "device": "", "fingers": 1} | {"times": found}
+    )
+    assert [column.header for column in table.columns] == ["what", "as it is", "slower", "compile s"]
+    assert str(list(table.columns[1].cells)[0]).endswith(" (1.0)")
+    (_, said) = gradient.fastest({"times": found})
+    assert said.startswith("gradient: least with as it is, ")
+
+
+def test_settings_that_a_process_has_are_not_measured_twice(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
+    monkeypatch.delenv("NPROC", raising=False)
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_enable_fast_math=false")
+    found = gradient_settings.others()
+    assert list(found) == ["NPROC=1", "loop flag"]
+    assert found["loop flag"]["XLA_FLAGS"].split() == [os.environ["XLA_FLAGS"], gradient_settings.LOOP_FLAG]
+    monkeypatch.setenv("XLA_FLAGS", found["loop flag"]["XLA_FLAGS"])
+    monkeypatch.setenv("NPROC", "1")
+    assert gradient_settings.others() == {}
+    monkeypatch.delenv("NPROC")
+    assert list(gradient_settings.others()) == ["NPROC=1"]
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert gradient_settings.others() == {}
 
 
 @pytest.mark.slow

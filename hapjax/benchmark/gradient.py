@@ -3,7 +3,8 @@
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
@@ -20,14 +22,22 @@ from ..scene import Scene, dtype_of
 from ..simulate import State, init, rollout
 from . import _grip
 from .error_scene import operator
+from .gradient_settings import AS_IT_IS, Programs, others, side_by_side
 
 STEPS, LENGTHS, PARAMETERS, LIFT = 1000, (250, 1000, 4000), (1, 4, 10), 0.02
 
 
-def measure(scene: Scene | None, fingers: int, steps: int = STEPS, lengths: Sequence[int] = LENGTHS):
+def measure(
+    scene: Scene | None,
+    fingers: int,
+    steps: int = STEPS,
+    lengths: Sequence[int] = LENGTHS,
+    settings: Mapping[str, Mapping[str, str]] | None = None,
+) -> dict[str, Any]:
     """The cost of gradients of the sum of squares of all objects' places at the end, in the scene's numbers.
 
-    `times`: of each program `run_s`, the least of several runs, its `ratio` to that of the forward pass, `compile_s`.
+    `times`: under the settings of this process and of each of `settings` (`None`: what `others` names), of each program
+    `run_s`, the least of several runs, its `ratio` to that of the forward pass under the same setting, `compile_s`.
     `reverse` is in all numbers; `reverse, checkpoint` is that of `rollout(..., checkpoint=True)`; `forward, n` is in the
     scale of n of them at once. `memory`: bytes that the compiled reverse gradient takes beside what goes in and comes
     out, for each of `lengths` steps, and the `exponent` of their growth. `scene` `None`: three fingers lift a cube.
@@ -37,22 +47,17 @@ def measure(scene: Scene | None, fingers: int, steps: int = STEPS, lengths: Sequ
     if not 1 <= fingers <= 100:
         raise InputError(f"fingers is {fingers}; allowed: 1 to 100")
     path = _path(scene, fingers)
+    times = side_by_side(_programs, (scene, fingers, steps), others() if settings is None else settings)
     scene = _grip.scene() if scene is None else scene
-    hips = path(steps)
-    start = init(scene, hips[0], _gimbals(scene, hips, 1))
-    programs = {"forward pass": _compiled(_end, scene, start, hips, False)}
-    programs["reverse"] = _compiled(jax.grad(_end, allow_int=True), scene, start, hips, False)
-    programs["reverse, checkpoint"] = _compiled(jax.grad(_end, allow_int=True), scene, start, hips, True)
-    for count in PARAMETERS:
-        programs[f"forward, {count}"] = _compiled(_scaled(scene, count), scene, start, hips, False)
     return {
         "device": str(jax.devices()[0]),
         "dtype": str(dtype_of(scene)),
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
-        "fingers": hips.shape[1],
+        "nproc": os.environ.get("NPROC", ""),
+        "fingers": path(1).shape[1],
         "steps": steps,
         "integrator": type(scene.integrator).__name__,
-        "times": _times(programs, (scene, start, hips)),
+        "times": times,
         "memory": {
             "without checkpoint": _memory(scene, path, lengths, False),
             "checkpoint": _memory(scene, path, lengths, True),
@@ -63,12 +68,27 @@ def measure(scene: Scene | None, fingers: int, steps: int = STEPS, lengths: Sequ
 def report(scene: Scene | None, fingers: int, file: Path | None) -> None:
     """Measure, print the tables, and write the figures as JSON where a file is given."""
     figures = measure(scene, fingers)
-    for table in (_time_table(figures), _memory_table(figures)):
-        Console().print(table)
+    for shown in (_time_table(figures), *fastest(figures), _memory_table(figures)):
+        Console().print(shown)
     if file is not None:
         with replacing(file) as out:
             json.dump(figures, out, indent=2)
             out.write("\n")
+
+
+def _programs(scene: Scene | None, fingers: int, steps: int) -> Programs:
+    """Ready to run: the forward pass, and its gradients."""
+    hips = _path(scene, fingers)(steps)
+    scene = _grip.scene() if scene is None else scene
+    start, reverse = init(scene, hips[0], _gimbals(scene, hips, 1)), jax.grad(_end, allow_int=True)
+    functions = {"forward pass": (_end, False), "reverse": (reverse, False)}
+    functions["reverse, checkpoint"] = (reverse, True)
+    functions |= {f"forward, {count}": (_scaled(scene, count), False) for count in PARAMETERS}
+    programs = {}
+    for name, (function, checkpoint) in functions.items():
+        program, compile_s = _compiled(function, scene, start, hips, checkpoint)
+        programs[name] = partial(program, scene, start, hips), compile_s
+    return programs
 
 
 def _path(scene: Scene | None, fingers: int) -> Callable[[int], jax.Array]:
@@ -117,23 +137,6 @@ def _compiled(function, scene: Scene, state: State, hips: jax.Array, checkpoint:
     return program, time.perf_counter() - began
 
 
-def _times(
-    programs: dict[str, tuple[Any, float]], arguments: tuple, runs: int = 9
-) -> dict[str, dict[str, float]]:
-    """The least run times; the programs take turns, so that a busy moment hits all alike."""
-    taken = np.empty((runs + 1, len(programs)))
-    for row in taken:
-        for i, (program, _) in enumerate(programs.values()):
-            began = time.perf_counter()
-            jax.block_until_ready(program(*arguments))
-            row[i] = time.perf_counter() - began
-    best = taken[1:].min(axis=0)
-    return {
-        name: {"run_s": float(s), "ratio": float(s / best[0]), "compile_s": compile_s}
-        for (name, (_, compile_s)), s in zip(programs.items(), best, strict=True)
-    }
-
-
 def _memory(scene: Scene, path, lengths: Sequence[int], checkpoint: bool) -> dict[str, Any]:
     taken = []
     for steps in lengths:
@@ -151,14 +154,29 @@ def _memory(scene: Scene, path, lengths: Sequence[int], checkpoint: bool) -> dic
 
 
 def _time_table(figures: dict[str, Any]) -> Table:
+    """A row for each program: ms, and in brackets forward passes, under each setting."""
     title = (
-        f"gradients of {figures['steps']} steps: {figures['fingers']} fingers, {figures['integrator']}, "
-        f"{figures['dtype']}, {figures['device']}"
+        f"gradients of {figures['steps']} steps, ms (forward passes): {figures['fingers']} fingers, "
+        f"{figures['integrator']}, {figures['dtype']}, {figures['device']}"
     )
-    table = Table("what", "ms", "of the forward pass", "compile s", title=title)
-    for name, row in figures["times"].items():
-        table.add_row(name, f"{row['run_s'] * 1e3:.2f}", f"{row['ratio']:.1f}", f"{row['compile_s']:.1f}")
+    times = figures["times"]
+    table = Table(title=title, title_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
+    for heading in ("what", *times, "compile s"):
+        table.add_column(heading, no_wrap=True)
+    for program, own in times[AS_IT_IS].items():
+        rows = (setting[program] for setting in times.values())
+        cells = (f"{row['run_s'] * 1e3:.2f} ({row['ratio']:.1f})" for row in rows)
+        table.add_row(program, *cells, f"{own['compile_s']:.1f}")
     return table
+
+
+def fastest(figures: dict[str, Any]) -> Iterator[str]:
+    """A sentence for each kind of gradient: under which setting it takes the least time."""
+    times = figures["times"]
+    for program in list(times[AS_IT_IS]) if len(times) > 1 else ():
+        best = min(times, key=lambda name: times[name][program]["run_s"])
+        row = times[best][program]
+        yield f"{program}: least with {best}, {row['run_s'] * 1e3:.2f} ms, {row['ratio']:.1f} of its passes."
 
 
 def _memory_table(figures: dict[str, Any]) -> Table:
