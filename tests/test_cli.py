@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import hapjax
-from hapjax.cli import main
+from hapjax.cli import COMMANDS, main
 from test_recording_mcap import bag
 
 HAPJAX = str(Path(sys.executable).parent / "hapjax")
@@ -148,7 +148,7 @@ def test_latency_prints_and_writes_its_figures(tmp_path, capsys):
     assert figures["scan_step_us"] > 0 and figures["compile_s"]["step"] > 0
 
 
-@pytest.mark.parametrize("command", [[], ["demo"], ["simulate"], ["fit"], ["benchmark"]])
+@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)])
 def test_every_command_has_help(command, capsys):
     with pytest.raises(SystemExit) as ended:
         main([*command, "--help"])

@@ -16,11 +16,13 @@ from .devices import devices
 from .doctor import doctor
 from .fit import fit
 from .recover import recover
+from .run import run as run_session
 from .simulate import simulate
 
 _SHELLS = ("bash", "zsh", "tcsh")
 COMMANDS = {
     "demo": demo,
+    "run": run_session,
     "simulate": simulate,
     "fit": fit,
     "benchmark": benchmark,

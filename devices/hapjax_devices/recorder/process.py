@@ -36,6 +36,19 @@ class RecorderProcess:
         """End it at once. Its file is left without an end; see `hapjax recover`."""
         self._process.kill()
 
+    def is_alive(self) -> bool:
+        """Whether its process goes on."""
+        return self._process.poll() is None
+
+    def end(self, patience: float) -> tuple[int, str]:
+        """What `wait` returns, of a recorder that is asked to end after `patience` s, and killed after as many again."""
+        for hurry in (self.stop, self.kill):
+            try:
+                return self.wait(patience)
+            except subprocess.TimeoutExpired:
+                hurry()
+        return self.wait()
+
     def wait(self, timeout: float | None = None) -> tuple[int, str]:
         """Its exit code (0, or 1 where the file could not be written on, 2 for bad input) and what it said at its end.
 

@@ -1,0 +1,197 @@
+"""Who starts the processes of a session, watches over them, and ends them in order."""
+
+import json
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from hapjax import InputError
+from hapjax.files import check_writable, replacing
+
+from ..bus import TickReader
+from ..recorder import RecorderProcess
+from .figures import Figures
+from .process import ServoProcess
+from .settings import Session
+
+PERIOD = 0.05  # s between two looks
+_PATIENCE = 600.0  # s that a recorder waits for a servo that waits for its user to home a device
+_END = 10.0  # s that a process is given to end
+_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
+
+def supervise(session: Session, record: Path | None, display: float, file: Path | None) -> int:
+    """Run a session until its time is over, or Ctrl-C or SIGTERM comes; returns the exit code.
+
+    0: it went as asked; 1: the servo, or a device that cannot come back, failed, or the recorder did; 2: the servo refused
+    its input.
+
+    **Arguments:** `session`; `record`, a new file that it is recorded to; `display`, how many lines a second are printed on
+    a terminal, 0.1 to 10; `file` for the figures.
+
+    **Raises:** `InputError`, before anything is started.
+    """
+    if not 0.1 <= display <= 10:
+        raise InputError(f"display is {display} lines a second; allowed: 0.1 to 10")
+    if record is not None:
+        _check_new(record)
+    if file is not None:
+        check_writable(file)
+    with _asked() as asked:
+        watch = _Watch(session, record, Display(display if sys.stdout.isatty() else 0.0))
+        code = watch.until(asked)
+    figures = watch.figures()
+    _summary(figures)
+    if file is not None:
+        with replacing(file) as out:
+            json.dump(figures, out, indent=2)
+            out.write("\n")
+    return code
+
+
+class Display:
+    """Prints a line now and then.
+
+    **Arguments:** `rate`, how many a second; 0: none.
+    """
+
+    def __init__(self, rate: float):
+        self._rate, self._next = rate, 0.0
+
+    def show(self, line: Callable[[], str]) -> None:
+        """Print the line if it is time to."""
+        if self._rate and time.monotonic() >= self._next:
+            self._next = time.monotonic() + 1 / self._rate
+            print(line(), flush=True)
+
+
+class _Watch:
+    """A session's processes, and what is known of them."""
+
+    def __init__(self, session: Session, record: Path | None, display: Display):
+        self._session, self._record, self._display = session, record, display
+        self._recorder = None if record is None else RecorderProcess(session.run, record, _PATIENCE)
+        self._servo = ServoProcess(session)
+        self._figures = Figures(len(session.devices))
+        self._said: list[dict[str, Any]] = []
+        self._refused: tuple[str, ...] = ()
+        self._failed = False
+
+    def until(self, asked: list[int]) -> int:
+        """Watch until the servo has ended, by itself or because of a signal in `asked`; the exit code."""
+        reader = self._reader(asked)
+        if reader is not None:
+            with reader:
+                while self._servo.code() is None and not asked:
+                    self._look(reader)
+                    time.sleep(PERIOD)
+                self._servo.stop()
+                code = self._ended()
+                self._look(reader)
+        else:
+            self._servo.stop()
+            code = self._ended()
+        if code < 0 and (reader is not None or not asked):
+            tick = self._figures.ticks - 1
+            _say(f"the servo's process was killed ({signal.Signals(-code).name}) after tick {tick}")
+        elif code < 0 or code > 128:  # asked to end before its loop had begun
+            code = 0
+        self._finish_recording(code == 0 and reader is None)
+        return 1 if code < 0 or (code == 0 and self._failed) else code
+
+    def figures(self) -> dict[str, Any]:
+        """What there is to say of the session at its end."""
+        session = self._session
+        return {
+            "run": session.run,
+            "scene": session.scene,
+            "devices": [device["type"] for device in session.devices],
+            "rate": session.rate,
+            "seconds": self._figures.ticks / session.rate,
+            **self._figures.to_dict(),
+            "events": self._said,
+            "refused": list(self._refused),
+            "record": None if self._record is None else str(self._record),
+        }
+
+    def _reader(self, asked: list[int]) -> TickReader | None:
+        """A reader of the servo's ticks, once it has begun; `None` where it does not."""
+        while self._servo.code() is None and not asked:
+            try:
+                return TickReader(self._session.run, 0.5)
+            except InputError:
+                continue  # it imports, compiles, or waits for a device
+        return None
+
+    def _look(self, reader: TickReader) -> None:
+        """Take what has come, and say what is new."""
+        self._figures.add(reader.take())
+        for event in reader.events():
+            self._said.append({"tick": event.tick, "kind": event.kind, "sentence": event.sentence})
+            if event.kind != "end":
+                _say(f"{event.tick / self._session.rate:.3f} s: {event.sentence}")
+        if self._recorder is not None and not self._recorder.is_alive():
+            self._finish_recording(False)
+        if self._figures.ticks:
+            self._display.show(lambda: self._figures.line(self._session.rate))
+
+    def _ended(self) -> int:
+        code, self._refused = self._servo.wait(_END)
+        return code
+
+    def _finish_recording(self, in_vain: bool) -> None:
+        """Let the recorder end, which it does by itself where the run has; say how it went where it went wrong."""
+        recorder, self._recorder = self._recorder, None
+        if recorder is None:
+            return
+        if in_vain or not self._figures.ticks:
+            recorder.stop()
+        code, said = recorder.end(_END)
+        if code != 0 and self._figures.ticks:
+            self._failed = True
+            _say(
+                f"{self._record}: the recorder has ended ({said.removeprefix('hapjax: ') or f'exit code {code}'})"
+            )
+
+
+@contextmanager
+def _asked() -> Iterator[list[int]]:
+    """The signals that asked for the end so far, while they are listened to."""
+    found: list[int] = []
+    before = {number: signal.signal(number, lambda n, _: found.append(n)) for number in _SIGNALS}
+    try:
+        yield found
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _check_new(record: Path) -> None:
+    """Refuse what is no new MCAP file."""
+    if record.suffix.lower() != ".mcap":
+        raise InputError(f"{record}: expected a recording named *.mcap")
+    check_writable(record)
+    if record.exists():
+        raise InputError(f"{record}: exists; allowed: a recording with a new name")
+
+
+def _summary(figures: dict[str, Any]) -> None:
+    """Say how it was, in two lines."""
+    if not figures["ticks"]:
+        return
+    late, felt = figures["lateness_us"], figures["force"]
+    for sentence in figures["refused"]:
+        _say(sentence)
+    print(
+        f"{figures['ticks']} ticks in {figures['seconds']:.1f} s, {figures['missed']} missed; late by "
+        f"{late['p50']:.1f} us (p50), {late['p99.9']:.0f} us (p99.9), {late['max']:.0f} us (max)"
+    )
+    print("felt at most: " + ", ".join(f"{each['max']:.2f} N" for each in felt))
+
+
+def _say(sentence: str) -> None:
+    print(f"hapjax: {sentence}", file=sys.stderr, flush=True)

@@ -1,0 +1,160 @@
+"""`hapjax run`: the processes of a session begin, are watched, and end in order, in whatever way."""
+
+import json
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import hapjax
+from hapjax.cli import main
+from hapjax_devices import TickReader
+from hapjax_devices.session import supervisor
+
+TABLE = "[object.table]\nshape = 'plane'\n[object.table.surface]\nmu = 0.5\nstiffness = 1000.0\n"
+
+
+@pytest.fixture
+def table(tmp_path):
+    (tmp_path / "table.toml").write_text(TABLE)
+    return tmp_path / "table.toml"
+
+
+@pytest.fixture
+def recorders(monkeypatch):
+    """The recorders that are started."""
+    started, real = [], supervisor.RecorderProcess
+
+    def start(*arguments):
+        started.append(real(*arguments))
+        return started[-1]
+
+    monkeypatch.setattr(supervisor, "RecorderProcess", start)
+    return started
+
+
+def meanwhile(work):
+    """Do something beside a run in this process; its failure is one of the test."""
+    failed = []
+
+    def tried():
+        try:
+            work()
+        except BaseException as error:
+            failed.append(error)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    thread = threading.Thread(target=tried)
+    thread.start()
+    return thread, failed
+
+
+def ticks_until(reader, count):
+    """Read until so many more ticks have come."""
+    until = reader.last + count
+    while reader.last < until:
+        assert reader.is_alive()
+        reader.take()
+        time.sleep(0.01)
+
+
+@pytest.mark.slow
+def test_a_session_is_recorded_and_ends_when_asked(table, tmp_path, capsys):
+    name, out, figures = f"asked-{os.getpid()}", tmp_path / "a.mcap", tmp_path / "a.json"
+    servo = []
+
+    def ask():
+        with TickReader(name, 60.0) as reader:
+            servo.append(reader.about.process)
+            ticks_until(reader, 300)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    thread, failed = meanwhile(ask)
+    options = ["--name", name, "--rate", "400", "--record", str(out), "--json", str(figures)]
+    code = main(["run", str(table), "--device", "virtual", "virtual", *options])
+    thread.join()
+    assert not failed and code == 0, failed
+    found = json.loads(figures.read_text())
+    recording = hapjax.Recording.load(out)
+    assert recording.hip_t is not None and recording.force is not None
+    assert found["ticks"] == len(recording.hip_t) > 300 and found["devices"] == ["virtual"] * 2
+    np.testing.assert_allclose(np.diff(recording.hip_t), 1 / 400)
+    largest = np.linalg.norm(recording.force, axis=2).max(axis=0)
+    assert [each["max"] for each in found["force"]] == pytest.approx(largest.tolist(), rel=1e-6)
+    assert [event["kind"] for event in found["events"]] == ["end"]
+    with pytest.raises(ProcessLookupError):
+        os.kill(servo[0], 0)
+    assert f"{found['ticks']} ticks" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_recorders_death_leaves_the_servo_going_and_the_servos_is_noticed(
+    table, tmp_path, recorders, capfd
+):
+    name, out = f"killed-{os.getpid()}", tmp_path / "a.mcap"
+
+    def kill():
+        with TickReader(name, 60.0) as reader:
+            ticks_until(reader, 100)
+            recorders[0].kill()
+            ticks_until(reader, 200)
+            os.kill(reader.about.process, signal.SIGKILL)
+
+    thread, failed = meanwhile(kill)
+    code = main(["run", str(table), "--name", name, "--device", "virtual", "--record", str(out)])
+    thread.join()
+    assert not failed and code == 1, failed
+    said = capfd.readouterr().err.splitlines()
+    assert ["recorder" in line or "SIGKILL" in line for line in said].count(True) == 2, said
+    assert f"{out}: the recorder has ended" in said[0] and "killed (SIGKILL) after tick" in said[1]
+    assert int(said[1].rsplit(" ", 1)[1]) > 200
+
+
+def test_a_device_that_is_not_there_ends_it_with_a_sentence(table, tmp_path, capfd):
+    file = tmp_path / "devices.toml"
+    file.write_text("[[device]]\ntype = 'inverse3'\nurl = 'ws://127.0.0.1:9'\n")
+    record = tmp_path / "a.mcap"
+    assert main(["run", str(table), "--devices", str(file), "--record", str(record), "--seconds", "1"]) == 1
+    out, error = capfd.readouterr()
+    assert error.count("\n") == 1 and "no program listens there" in error and out == ""
+    assert not record.exists()
+
+
+REFUSED = {
+    "no scene": (["run"], ["missing"]),
+    "a scene that is none": (["run", "none.toml"], ["none.toml"]),
+    "a recording that exists": (["run", "table.toml", "--record", "there.mcap"], ["there.mcap", "new name"]),
+    "another recording": (["run", "table.toml", "--record", "new.npz"], ["new.npz", "*.mcap"]),
+    "no folder": (["run", "table.toml", "--json", "none/a.json"], ["none"]),
+    "no device": (["run", "table.toml", "--device", "wand"], ["wand", "virtual"]),
+    "no name": (["run", "table.toml", "--name", "a b"], ["'a b'", "letters"]),
+    "a lazy display": (["run", "table.toml", "--display", "0"], ["display is 0", "0.1 to 10"]),
+    "a rate": (["run", "table.toml", "--rate", "5000"], ["rate is 5000", "100 to 4000"]),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_is_refused_before_anything_starts(case, table, monkeypatch, capsys):
+    monkeypatch.chdir(table.parent)
+    (table.parent / "there.mcap").touch()
+    for process in ("ServoProcess", "RecorderProcess"):
+        monkeypatch.setattr(supervisor, process, lambda *_: pytest.fail("started"))
+    arguments, words = REFUSED[case]
+    assert main(arguments) == 2
+    out, error = capsys.readouterr()
+    assert out == "" and error.count("\n") == 1
+    for word in words:
+        assert word in error
+
+
+def test_it_speaks_as_often_as_it_is_asked_to(monkeypatch, capsys):
+    now = 0.0
+    monkeypatch.setattr(supervisor.time, "monotonic", lambda: now)
+    for rate, count in ((0.0, 0), (2.0, 6), (10.0, 30)):
+        display = supervisor.Display(rate)
+        for now in np.arange(0.0, 3.0, 0.05) + 1e-9 * np.arange(60) + 10 * (1 + rate):
+            display.show(lambda: "felt")
+        assert capsys.readouterr().out.count("felt") == pytest.approx(count, abs=1)
