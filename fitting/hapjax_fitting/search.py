@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from hapjax import Recording
 
 from . import robust
+from .around import lowest_around
 from .breakaway import broken_away
 from .grip import cost_of_grip, holding_instead, slipping_instead
 from .parameters import scatter
@@ -22,6 +23,8 @@ from .success import gone_astray, variance_of
 
 _MOST_SEARCHES = 4
 _PLACES, _FAR = 64, 20.0  # looked at where all starts went astray, and up to which factor off
+_SHELLS = 6  # at least, around where a search ended
+_MOST_TURNS, _ENOUGH = 8, 2  # of looking around, and of looking around in vain
 _MOST_WEIGHINGS, _SETTLED = 4, 0.01
 
 
@@ -45,6 +48,8 @@ def searched(
         ends = ends.joined(
             _search(problem, _from_afar(problem, first, starts, seed), max_steps, begun=starts)
         )
+    if starts > 1 and problem.scene.moving() and not problem.starts:
+        ends = _looked_around(problem, ends, len(begin), seed, max_steps)
     for _ in range(_MOST_SEARCHES - 1):
         better = _better(problem, ends)
         if better is None:
@@ -61,6 +66,32 @@ def _from_afar(problem: Problem, first: Float[Array, " p"], starts: int, seed: i
     about = scatter(first, problem.parameters, max(_PLACES, starts), _FAR, seed)
     losses = jnp.stack([loss_at(place, problem) for place in about])
     return about[jnp.argsort(losses)[:starts]]
+
+
+def _looked_around(problem: Problem, ends: Solutions, batch: int, seed: int, max_steps: int) -> Solutions:
+    """Search from places around the best end, in batches of one size, as long as that leads to better ones.
+
+    Where the recordings are explained, only places that are better themselves are gone on from. Only better ends are
+    counted: what comes back to the end that it began around is no evidence for it.
+    """
+    begun, in_vain = len(ends.loss), 0
+    shells = -(-_SHELLS // batch) * batch
+    for turn in range(_MOST_TURNS):
+        variance = variance_of(ends.loss, problem.measured())
+        chance, explained = NOTICEABLE * variance / 2, variance < ALONE**2
+        places, losses = lowest_around(ends, problem, variance, shells, seed + turn)
+        if explained and not losses[0] < ends.loss[ends.best] - chance:
+            break
+        before = ends.loss[ends.best]
+        for some in places[:batch][None] if explained else places.reshape(-1, batch, places.shape[1]):
+            found = _search(problem, some, max_steps, begun)
+            begun += batch
+            if found.loss[found.best] < ends.loss[ends.best] - chance:
+                ends = ends.joined(found.at_best)
+        in_vain = 0 if ends.loss[ends.best] < before else in_vain + 1
+        if in_vain == _ENOUGH:
+            break
+    return ends
 
 
 def _search(problem: Problem, begin: Float[Array, "S p"], max_steps: int, begun: int = 0) -> Solutions:

@@ -37,6 +37,12 @@ class Solutions(eqx.Module):
         """The start with the lowest loss."""
         return int(jnp.argmin(jnp.where(jnp.isfinite(self.loss), self.loss, jnp.inf)))
 
+    @property
+    def at_best(self) -> "Solutions":
+        """The start with the lowest loss alone."""
+        one = slice(self.best, self.best + 1)
+        return Solutions(self.free[one], self.loss[one], self.converged[one], self.steps[one], self.jacobian)
+
     def joined(self, other: "Solutions") -> "Solutions":
         """These starts and the other ones."""
         of_best = other if other.loss[other.best] < self.loss[self.best] else self

@@ -65,20 +65,20 @@ def test_a_moving_object_is_fitted_from_forces_and_poses():
 
 
 @pytest.mark.slow
-def test_a_drop_that_ends_beside_the_best_is_no_success():
+def test_a_drop_is_found_from_where_every_descent_ends_beside_it():
     """A cube that falls nearly flat bounces from corner to corner: many numbers bounce it almost as it was seen."""
     stiffness, damping = free = [f"contact.cube_on_floor.{name}" for name in ("stiffness", "damping")]
     scene, recording = dropped_cube()
     best = fit(scene, recording, free, starts=1)
     assert best.converged and within(best, stiffness, 3000.0) and within(best, damping, 0.4)
-    for factor, seed in ((10.0, 3), (0.3, 9)):
+    for factor, seed in ((10.0, 0), (0.1, 1)):
         off = eqx.tree_at(
             lambda s: (s.contact["cube_on_floor"].stiffness, s.contact["cube_on_floor"].damping),
             scene,
             replace_fn=lambda x, f=factor: x * f,
         )
-        result = fit(off, recording, free, starts=4, seed=seed)
-        assert result.loss < 1.1 * best.loss or not result.converged
+        result = fit(off, recording, free, starts=2, seed=seed)
+        assert result.converged and result.loss == pytest.approx(best.loss, abs=0.1)
 
 
 def dropped_cube(tilt=0.03):
