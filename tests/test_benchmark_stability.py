@@ -2,18 +2,24 @@
 
 import csv
 import json
+from functools import partial
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import hapjax
-from hapjax import Body, Box, Contact, InputError, Object, Plane, Scene, Sphere, World
+from hapjax import Body, Box, Contact, InputError, Object, Plane, Scene, Sphere, Surface, World
+from hapjax.benchmark import _sweep
+from hapjax.benchmark import error_scene as moved
 from hapjax.benchmark import stability_loop as loop
+from hapjax.benchmark import stability_maps as maps
+from hapjax.benchmark import stability_page as page
 from hapjax.benchmark import stability_press as touch
 from hapjax.benchmark import stability_scene as own
 from hapjax.benchmark.stability_cells import BASE, BLOWN_UP, RINGING, SETTLED, programs
-from hapjax.benchmark.stability_maps import MAPS, explicit_limit, unsettled
+from hapjax.benchmark.stability_maps import MAPS, Map, explicit_limit, unsettled
 from hapjax.cli import main
 
 SCENE = """
@@ -166,7 +172,14 @@ def test_scenes_that_cannot_come_to_rest_are_refused(change, said):
         (["--out", "/proc/x"], "cannot be made a folder"),
         (["--fingers", "2"], "fingers is 2 without a scene; allowed: with --scene"),
         (["--scene", "{scene}", "--maps", "spin"], "maps is spin with a scene; allowed: without --scene"),
-        (["--error", "-5"], "error is -5.0 with stability; allowed: with error"),
+        (["--error", "1e-5"], "error is 1e-05 without a scene; allowed: with --scene"),
+        (["--scene", "{scene}", "--error", "-5"], "error is -5 m; allowed: above 0 and finite"),
+        (["--scene", "{scene}", "--error", "inf"], "error is inf m; allowed: above 0 and finite"),
+        (
+            ["--scene", "{scene}", "--hip", "lift.npz"],
+            "hip is lift.npz without error; allowed with stability",
+        ),
+        (["--scene", "{scene}", "--error", "1e-5"], "no object with a body has a surface for fingers"),
     ],
 )
 def test_bad_input_is_refused_in_a_sentence(arguments, said, tmp_path, capsys):
@@ -193,8 +206,8 @@ def test_a_quick_run_leaves_everything(tmp_path, capsys):
     soft = [r for r in rows if (r["value"], r["dt"]) == ("100.0", "0.001")]
     assert [r["verdict"] for r in soft] == [SETTLED] * 2
     assert len(json.loads(figures.read_text())["loop"]) == len(table(out / "loop.csv"))
-    page = (out / "stability.html").read_text()
-    assert page.count("data:image/png;base64,") == 2 and "http" not in page
+    html = (out / "stability.html").read_text()
+    assert html.count("data:image/png;base64,") == 2 and "http" not in html
     assert all(png.stat().st_size < 100_000 for png in out.glob("*.png"))
 
 
@@ -230,6 +243,88 @@ def test_the_recommendation_bears_the_press_of_two_fingers(monkeypatch):
     found = own.recommend(scene, own.scaled_map(scene), ["semi_implicit"], 1000.0, 2)
     assert [c.pressed for c in found[:3]] == [BLOWN_UP] * 3 and found[0].margin >= 1
     assert own.cheapest(found) == found[-1] and found[-1].substeps in (8, 16)
+
+
+def test_the_recommendation_is_within_an_error_where_one_is_asked_for():
+    choices = [
+        own.Choice("semi_implicit", 1, 1.0, 0.5, "", 1e-3),
+        own.Choice("lie_midpoint", 1, 2.0, 3.0, SETTLED, 3e-5),
+        own.Choice("lie_midpoint", 2, 4.0, 3.0, BLOWN_UP, 2e-6),
+        own.Choice("lie_midpoint", 4, 8.0, 3.0, SETTLED, 1e-6),
+    ]
+    assert [own.cheapest(choices, e) for e in (1e-2, 1e-4, 1e-5, 1e-7)] == [choices[i] for i in (1, 1, 3)] + [
+        None
+    ]
+    said = page.advice(choices, 500.0, 1e-5, 1e-9)
+    assert said == (
+        "At 500 Hz the cheapest that settles and stays within 1e-05 m is lie_midpoint with substeps = 4: 8.0 us a step, "
+        "1.0e-06 m off at the end, also between two fingers, and contacts up to 3 times as stiff settle too."
+    )
+    said = page.advice(choices, 500.0, 1e-7, 2e-7)
+    assert said.startswith(
+        "At 500 Hz nothing that settles stays within 1e-07 m; the cheapest that settles is lie_midp"
+    )
+    assert "3.0e-05 m off at the end" in said and said.endswith(
+        "known to 2e-07 m, so errors below that say nothing."
+    )
+    assert "m off" not in page.advice([choices[1]._replace(error=None)], 500.0)
+
+
+def test_substeps_go_on_until_the_error_is_met_too(monkeypatch):
+    """All settle from 2 substeps on; 4 are too far off, and are not run."""
+    tried = []
+
+    def run(grid, dt):
+        tried.append(round(1 / (1000 * dt)))
+        return SimpleNamespace(verdict=[SETTLED if tried[-1] > 1 else RINGING])
+
+    monkeypatch.setattr(own, "programs", lambda *_: SimpleNamespace(run=run))
+    monkeypatch.setattr(own, "_step_us", lambda *_: 3.0)
+    monkeypatch.setattr(own, "DTYPES", ("float64",))
+    one = Map("stiffness_factor", "", "", (1.0,), partial(own._scaled, scene_of()))
+    errors = {("implicit", n): e for n, e in ((1, np.inf), (2, 1e-3), (4, 1e-3), (8, 1e-6), (16, 1e-7))}
+    found = own.recommend(scene_of(), one, ["implicit"], 1000.0, 1, errors=errors, within=1e-5)
+    assert tried == [c.substeps for c in found] == [1, 2, 8]
+    assert [c.error for c in found] == [np.inf, 1e-3, 1e-6] and own.cheapest(found, 1e-5) == found[-1]
+    assert page.choice_rows(found, 1000.0)[1][0][-1] == "blown up"
+    assert [c.substeps for c in own.recommend(scene_of(), one, ["implicit"], 1000.0, 1)] == [1, 2]
+
+
+@pytest.mark.slow
+def test_a_recommendation_with_an_error_is_the_one_of_the_error_itself(tmp_path, capsys, monkeypatch):
+    """A ball that stands softly and is lifted: it settles with any substeps, and takes 8 to be within 1e-5 m."""
+    surface = Surface(800.0, mu=0.6, damping=1.0)
+    ball = Object(Sphere(0.02), surface, Body(0.05, rotation=False), position=(0.0, 0.0, 0.02))
+    floor = Contact(1e3, mu=0.5, damping=1.0, between=("ball", "floor"))
+    scene = scene_of(object={"ball": ball, "floor": Object(Plane())}, contact={"on_floor": floor})
+    hapjax.save_scene(scene, tmp_path / "ball.toml")
+    hips = moved.operator(scene, 2, 1000.0)[:400]
+    hapjax.Recording(hip=hips, hip_t=np.arange(400) / 1000).save(tmp_path / "lift.npz")
+    monkeypatch.setattr(maps, "measure", lambda *_: [])
+    monkeypatch.setattr(touch, "touched", lambda scene: [])
+    monkeypatch.setattr(_sweep, "LONGEST", 2.0)
+    for module in (own, moved):
+        monkeypatch.setattr(module, "SUBSTEPS", (1, 8))
+    monkeypatch.setattr(own, "DTYPES", ("float64",))
+    options = [
+        "--integrators",
+        "semi_implicit",
+        "--quick",
+        "--error",
+        "1e-5",
+        "--hip",
+        str(tmp_path / "lift.npz"),
+    ]
+    options += ["--json", str(tmp_path / "stability.json")]
+    assert main(["benchmark", "stability", "--scene", str(tmp_path / "ball.toml"), *options]) == 0
+    figures, printed = json.loads((tmp_path / "stability.json").read_text()), capsys.readouterr().out
+    assert figures["error"] == 1e-5 and 0 < figures["floor"] < 1e-5
+    first, last = figures["choices"]
+    assert (first["substeps"], last["substeps"]) == (1, 8) and first["margin"] >= 1 and last["margin"] >= 1
+    assert first["error"] > 1e-5 > last["error"] > 0
+    assert first["error"] / last["error"] == pytest.approx(8, rel=0.3)  # of first order
+    assert "stays within 1e-05 m is semi_implicit with substeps = 8" in " ".join(printed.split())
+    assert f"{last['error']:.1e} m off at the end" in " ".join(printed.split())
 
 
 def test_surfaces_alone_need_no_simulation(tmp_path, capsys):

@@ -17,8 +17,8 @@ _APPLY = {
     "rate": {"stability": _WITH, "error": _WITH},
     "quick": {"stability": _ALWAYS, "error": _WITHOUT, "fit": _ALWAYS},
     "cases": {"error": _WITHOUT},
-    "hip": {"error": _WITH},
-    "error": {"error": _WITH},
+    "hip": {"error": _WITH, "stability": _WITH},
+    "error": {"error": _WITH, "stability": _WITH},
     "out": {"stability": _ALWAYS, "error": _ALWAYS, "fit": _ALWAYS},
 }
 

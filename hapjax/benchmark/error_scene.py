@@ -14,9 +14,9 @@ from .. import rotation
 from ..body import Body
 from ..errors import InputError, within
 from ..recording import Recording
-from ..scene import Scene
+from ..scene import Scene, cast
 from ..simulate import State
-from ._sweep import Sweep
+from ._sweep import Sweep, curve_of_substeps, extrapolated
 from .cases import Case, Order
 
 SUBSTEPS = (1, 2, 4, 8, 16, 32, 64)
@@ -145,26 +145,58 @@ def choices(case: dict[str, Any], rate: float) -> list[Choice]:
     for name, curve in case["curves"].items():
         for p in curve["points"]:
             error = np.inf if p["error"] is None else p["error"]
-            found.append(Choice(name, round(1 / (p["dt"] * rate)), error, p["run"] / rate * 1e6))
+            found.append(Choice(name, _substeps(p["dt"], rate), error, p["run"] / rate * 1e6))
     return sorted(found, key=lambda c: c.step_us)
+
+
+def errors(
+    scene: Scene,
+    hip: Path | None,
+    fingers: int,
+    integrators: Sequence[str],
+    rate: float,
+    advance: Callable[[str, float], Any] = lambda doing, steps: None,
+) -> tuple[dict[tuple[str, int], float], float]:
+    """The error (m) at the end by integrator and number of substeps at `rate` (Hz), and to what the truth is known.
+
+    The fingers follow the recording `hip`, or are a virtual operator's. Needs 64-bit numbers on.
+
+    **Raises:** `InputError` for a scene or a motion that cannot be, or whose truth is not known to 1 mm.
+    """
+    scene = cast(scene, jnp.float64)
+    case, sweep = scene_case(scene, *motion_of(scene, hip, fingers, rate), rate), sweep_at(rate)
+    advance("error: truth", 0.0)
+    truth, floor = extrapolated(case, sweep)
+    found = {}
+    for name in integrators:
+        advance(f"error: {name}", 0.0)
+        for p in curve_of_substeps(case, name, truth, sweep)[0]:
+            found[name, _substeps(p.dt, rate)] = p.error
+    return found, floor
+
+
+def unsure(floor: float, error: float) -> str:
+    """What is to be said where the truth is known to `floor` m alone, and less than that is asked for."""
+    return f" The truth is known to {floor:.0e} m, so errors below that say nothing." if floor > error else ""
 
 
 def advice(found: Sequence[Choice], error: float, rate: float, floor: float) -> str:
     """The recommendation in one sentence."""
     good = next((c for c in found if c.error <= error), None)
-    unsure = (
-        f" The truth is known to {floor:.0e} m, so errors below that say nothing." if floor > error else ""
-    )
     if good is not None:
         return (
             f"Cheapest within {error:g} m at {rate:g} Hz: {good.integrator} with substeps = {good.substeps}, "
-            f"{good.error:.1e} m off at the end, {good.step_us:.1f} us a step.{unsure}"
+            f"{good.error:.1e} m off at the end, {good.step_us:.1f} us a step.{unsure(floor, error)}"
         )
     best = min(found, key=lambda c: c.error)
     return (
         f"None stays within {error:g} m at {rate:g} Hz; the closest is {best.integrator} with substeps = "
-        f"{best.substeps}, {best.error:.1e} m off at the end, {best.step_us:.1f} us a step.{unsure}"
+        f"{best.substeps}, {best.error:.1e} m off at the end, {best.step_us:.1f} us a step.{unsure(floor, error)}"
     )
+
+
+def _substeps(dt: float, rate: float) -> int:
+    return round(1 / (dt * rate))
 
 
 def _points(scene: Scene, state: State):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -15,6 +16,7 @@ from ..extras import need
 from ..files import check_makeable, replacing
 from ..integrate import METHODS
 from ..scene import Scene
+from . import error_scene as moved
 from . import stability_loop as loop
 from . import stability_maps as plans
 from . import stability_page as page
@@ -32,16 +34,22 @@ def measure(
     rate: float,
     fingers: int,
     advance: Advance = lambda doing, steps: None,
+    error: float | None = None,
+    hip: Path | None = None,
 ) -> dict[str, Any]:
     """`maps`: what was drawn; `cells`, `loop`, `choices` and `walls`: what was found; needs 64-bit numbers on.
 
     **Arguments:** `scene` `None`: the built-in cases; else only that scene's own map, its choices at `rate` (Hz) with
-    `fingers`, and its walls. `quick`: a coarse grid.
+    `fingers`, and its walls. `quick`: a coarse grid. `error`: m, within which a choice has to be of a truth that is known to
+    `floor`, its fingers along the recording `hip`, or a virtual operator's; `None`: it has to settle, and no more.
 
     **Raises:** `InputError` for names, numbers or a scene that cannot be.
     """
-    figures: dict[str, Any] = {"maps": {}, "cells": [], "loop": [], "choices": [], "walls": []}
+    figures: dict[str, Any] = {"maps": {}, "cells": [], "loop": [], "choices": [], "walls": [], "floor": 0.0}
     if scene is not None:
+        errors = None
+        if error is not None:
+            errors, figures["floor"] = moved.errors(scene, hip, fingers, integrators, rate, advance)
         scene = own.felt_alike(scene)
         figures["walls"] = own.walls(scene, rate)
         if scene.moving():
@@ -51,7 +59,9 @@ def measure(
             figures["maps"] = {"scene": one.thinned() if quick else one}
             dts = _scene_steps(scene, quick)
             figures["cells"] = plans.measure(figures["maps"], integrators, dts, advance)
-            figures["choices"] = own.recommend(scene, one, integrators, rate, fingers, advance)
+            figures["choices"] = own.recommend(
+                scene, one, integrators, rate, fingers, advance, errors, np.inf if error is None else error
+            )
         return figures
     built_in = [name for name in maps if name != LOOP]
     figures["maps"] = plans.chosen(built_in, quick) if built_in else {}
@@ -69,12 +79,16 @@ def report(
     quick: bool,
     rate: float,
     fingers: int,
+    error: float | None,
+    hip: Path | None,
     out: Path | None,
     file: Path | None,
 ) -> None:
     """Measure, print the tables, and write the figures as JSON, and a folder of pictures, where they are asked for.
 
-    No `maps` and no `integrators` stand for all.
+    No `maps` and no `integrators` stand for all; see `measure` for `error` and `hip`.
+
+    **Raises:** `InputError` for names, numbers or a scene that cannot be.
     """
     known = [*plans.MAPS, LOOP]
     maps, integrators = maps or known, integrators or list(METHODS)
@@ -84,27 +98,32 @@ def report(
         raise InputError(f"rate is {rate:g} Hz; allowed: 10 to 100000")
     if not 1 <= fingers <= 100:
         raise InputError(f"fingers is {fingers}; allowed: 1 to 100")
+    if error is None and hip is not None:
+        raise InputError(f"hip is {hip} without error; allowed with stability: with --error")
+    if error is not None and not 0 < error < np.inf:
+        raise InputError(f"error is {error:g} m; allowed: above 0 and finite")
     if out is not None:
         need("matplotlib", "bench")
         check_makeable(out)
     console = Console()
     with jax.enable_x64(True), following(_work(scene, maps, integrators, quick, rate)) as advance:
-        figures = measure(scene, maps, integrators, quick, rate, fingers, advance)
-    tables, sentences = _said(figures, rate)
+        figures = measure(scene, maps, integrators, quick, rate, fingers, advance, error, hip)
+    tables, sentences = _said(figures, rate, error)
     for title, (header, rows) in tables.items():
         console.print(page.table(title, header, rows))
     for sentence in sentences:
         console.print(sentence)
     if file is not None:
         with replacing(file) as opened:
-            json.dump({"device": str(jax.devices()[0]), "rate": rate, **_plain(figures)}, opened, indent=1)
+            asked = {"device": str(jax.devices()[0]), "rate": rate, "error": error}
+            json.dump(asked | _plain(figures), opened, indent=1)
             opened.write("\n")
     if out is not None:
         made = page.write(out, figures["maps"], figures["cells"], figures["loop"], tables, sentences)
         print(f"report: {made}")
 
 
-def _said(figures: Mapping[str, Any], rate: float):
+def _said(figures: Mapping[str, Any], rate: float, error: float | None):
     """The tables by their titles, and the sentences below them."""
     tables, sentences = {}, []
     if figures["cells"]:
@@ -119,13 +138,16 @@ def _said(figures: Mapping[str, Any], rate: float):
         tables["the scene's integrators"] = page.choice_rows(figures["choices"], rate)
         if any(choice.pressed for choice in figures["choices"]):
             sentences.append(page.PRESSED)
-        sentences.append(page.advice(figures["choices"], rate))
+        sentences.append(page.advice(figures["choices"], rate, error, figures["floor"]))
     return tables, sentences
 
 
 def _plain(figures: Mapping[str, Any]) -> dict[str, Any]:
     names = ("cells", "loop", "choices", "walls")
-    return {"maps": list(figures["maps"])} | {n: [row._asdict() for row in figures[n]] for n in names}
+    found = {n: [row._asdict() for row in figures[n]] for n in names}
+    for row in found["choices"]:  # JSON has no infinity, which is the error of what blew up
+        row["error"] = None if row["error"] == np.inf else row["error"]
+    return {"maps": list(figures["maps"]), "floor": figures["floor"]} | found
 
 
 def _scene_steps(scene: Scene, quick: bool) -> list[float]:

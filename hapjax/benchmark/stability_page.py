@@ -9,10 +9,12 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.table import Column, Table
 
 from ..errors import InputError
 from ..files import replacing
+from .error_scene import unsure
 from .stability_cells import BLOWN_UP, LATEST, QUIET, RINGING, SECONDS, SETTLED, WILD
 from .stability_loop import Limit
 from .stability_maps import Cell, Map
@@ -77,6 +79,7 @@ def choice_rows(choices: Sequence[Choice], rate: float) -> tuple[list[str], list
         [
             *(c.integrator, str(c.substeps), f"{c.step_us:.1f}"),
             *("yes" if c.settles else "no", f"{c.margin:g}", c.pressed or "not felt"),
+            *([] if c.error is None else ["blown up" if np.isinf(c.error) else f"{c.error:.1e}"]),
         ]
         for c in choices
     ]
@@ -88,7 +91,7 @@ def choice_rows(choices: Sequence[Choice], rate: float) -> tuple[list[str], list
         "up to stiffness times",
         "pressed",
     ]
-    return header, rows
+    return [*header, "error, m"] if any(c.error is not None for c in choices) else header, rows
 
 
 def wall_rows(walls: Sequence[Wall]) -> tuple[list[str], list[list[str]]]:
@@ -97,16 +100,28 @@ def wall_rows(walls: Sequence[Wall]) -> tuple[list[str], list[list[str]]]:
     return ["surface", "N/m", "device's damping, N s/m, above", "one sample late, above"], rows
 
 
-def advice(choices: Sequence[Choice], rate: float) -> str:
-    """The recommendation in one sentence."""
+def advice(choices: Sequence[Choice], rate: float, within: float | None = None, floor: float = 0.0) -> str:
+    """The recommendation in one sentence; of what is also `within` (m) of a truth known to `floor`, if that is asked for."""
     best = cheapest(choices)
     if best is None:
         return f"At {rate:g} Hz the scene settles with none of the integrators and substeps tried."
-    pressed = "also between two fingers, " if best.pressed else ""
+    if within is None:
+        return f"At {rate:g} Hz the cheapest that settles is {_described(best)}."
+    good, doubt = cheapest(choices, within), unsure(floor, within)
+    if good is None:
+        return (
+            f"At {rate:g} Hz nothing that settles stays within {within:g} m; the cheapest that settles is "
+            f"{_described(best)}.{doubt}"
+        )
+    return f"At {rate:g} Hz the cheapest that settles and stays within {within:g} m is {_described(good)}.{doubt}"
+
+
+def _described(choice: Choice) -> str:
+    off = "" if choice.error is None else f"{choice.error:.1e} m off at the end, "
+    pressed = "also between two fingers, " if choice.pressed else ""
     return (
-        f"At {rate:g} Hz the cheapest that settles is {best.integrator} with substeps = {best.substeps}: "
-        f"{best.step_us:.1f} us a step, "
-        f"{pressed}and contacts up to {best.margin:g} times as stiff settle too."
+        f"{choice.integrator} with substeps = {choice.substeps}: {choice.step_us:.1f} us a step, {off}"
+        f"{pressed}and contacts up to {choice.margin:g} times as stiff settle too"
     )
 
 

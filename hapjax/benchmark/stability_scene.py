@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,30 +16,36 @@ from ..scene import Scene, cast
 from ..simulate import init
 from . import stability_press as touch
 from ._timing import compiled, step_us
+from .error_scene import SUBSTEPS
 from .stability_cells import AWAY, BASE, BLOWN_UP, RINGING, SECONDS, SETTLED, Numbers, Start, programs
 from .stability_loop import passive_stiffness
 from .stability_maps import DTYPES, Map, decades
 
 NUDGE, TURN = 0.1, 1.0  # m/s down and rad/s about a horizontal axis, of every object at the start
-SUBSTEPS = (1, 2, 4, 8, 16, 32, 64)
 WORSE = (SETTLED, RINGING, BLOWN_UP)
 
 
 class Choice(NamedTuple):
     """An integrator with substeps: `step_us` of a step of the scene in a compiled loop; `margin`, by which factor its
     contacts could be stiffer. Below 1 the scene does not settle as it is; 0: nor with any softer contacts tried.
-    `pressed`: the worse verdict, of float64's and float32's, on its objects between two fingers; empty: none is felt."""
+    `pressed`: the worse verdict, of float64's and float32's, on its objects between two fingers; empty: none is felt.
+    `error`: m, by how much a motion's end is off; `None`: not measured."""
 
     integrator: str
     substeps: int
     step_us: float
     margin: float
     pressed: str = ""
+    error: float | None = None
 
     @property
     def settles(self) -> bool:
         """Whether it settles by itself, and between fingers."""
         return self.margin >= 1 and self.pressed in ("", SETTLED)
+
+    def serves(self, error: float) -> bool:
+        """Whether it settles, and is within `error` (m) where that was measured."""
+        return self.settles and (self.error is None or self.error <= error)
 
 
 class Wall(NamedTuple):
@@ -90,8 +96,13 @@ def recommend(
     rate: float,
     fingers: int,
     advance: Callable[[str, float], Any] = lambda doing, steps: None,
+    errors: Mapping[tuple[str, int], float] | None = None,
+    within: float = np.inf,
 ) -> list[Choice]:
     """Each integrator with substeps at `rate` (Hz), up to as many as it takes; the cheapest first; needs 64-bit numbers on.
+
+    With `errors` (m, by integrator and substeps) as many as it takes to settle and to be `within` (m) the truth; beyond
+    the first number that settles only those are tried that are.
 
     `one` is the scene's map. The scene settles where it does in float64 and in float32, with its own stiffness and with all
     softer ones of the map, and where two fingers press each object that they feel. N substeps cost N times a step without.
@@ -101,8 +112,11 @@ def recommend(
     for method in integrators:
         cost = _step_us(scene, method, fingers)
         presses = [] if rest is None else [touch.press(rest, method, dtype) for dtype in DTYPES]
+        settled = False
         for n in SUBSTEPS:
-            margin = np.inf
+            error, margin = None if errors is None else errors.get((method, n), np.inf), np.inf
+            if settled and error is not None and error > within:
+                continue
             for dtype in DTYPES:
                 advance(f"{method}, {dtype}, {n} substeps", 0.0)
                 found = programs(one.build, method, dtype).run(
@@ -111,8 +125,9 @@ def recommend(
                 margin = min(margin, _margin(one.values, found.verdict))
                 advance(f"{method}, {dtype}, {n} substeps", SECONDS * rate * n)
             pressed = max((press(1 / (rate * n)) for press in presses), key=WORSE.index, default="")
-            choices.append(Choice(method, n, cost * n, margin, pressed))
-            if choices[-1].settles:
+            choices.append(Choice(method, n, cost * n, margin, pressed, error))
+            settled = settled or choices[-1].settles
+            if choices[-1].serves(within):
                 break
     return sorted(choices, key=lambda choice: choice.step_us)
 
@@ -122,9 +137,9 @@ def recommend_work(integrators: Sequence[str], rate: float) -> float:
     return len(integrators) * len(DTYPES) * SECONDS * rate * sum(SUBSTEPS)
 
 
-def cheapest(choices: Sequence[Choice]) -> Choice | None:
-    """The first that settles; `None`: none does."""
-    return next((choice for choice in choices if choice.settles), None)
+def cheapest(choices: Sequence[Choice], within: float = np.inf) -> Choice | None:
+    """The first that settles, and is `within` so many m of the truth; `None`: none does."""
+    return next((choice for choice in choices if choice.serves(within)), None)
 
 
 def walls(scene: Scene, rate: float) -> list[Wall]:

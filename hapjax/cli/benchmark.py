@@ -23,7 +23,7 @@ def benchmark(
     quick: FlagCreatePairsOff[bool] = False,
     cases: tuple[str, ...] = (),
     hip: Path | None = None,
-    error: float = 1e-4,
+    error: float | None = None,
     out: Path | None = None,
     json: Path | None = None,
 ) -> None:
@@ -48,9 +48,10 @@ def benchmark(
         rate: Of stability and error: Hz at which --scene is to run, 10 to 100000.
         quick: Of stability: a coarse grid. Of error: fewer time steps, each run once, no gradients. Of fit: a fiftieth.
         cases: Of error: names of built-in cases; none: all.
-        hip: Of error with --scene: recording (.npz, .csv) whose channel hip the fingers follow; absent: a virtual
-            operator grips and lifts the first object that moves.
-        error: Of error with --scene: m that the recommended integrator may be off at the end, above 0.
+        hip: Of error with --scene, and of stability with --error: recording (.npz, .csv) whose channel hip the fingers
+            follow; absent: a virtual operator grips and lifts the first object that moves.
+        error: Of error and stability with --scene: m that the recommended integrator may be off at the end, above 0;
+            absent: of error 0.0001, of stability what settles is enough.
         out: Of stability and error: folder for the page, the pictures and the CSV files. Of fit: for all estimates as CSV.
         json: File for the figures.
     """
@@ -69,9 +70,11 @@ def benchmark(
     if kind == "latency":
         latency.report(loaded, fingers, seconds, json)
     elif kind == "stability":
-        stability.report(loaded, maps, integrators, quick, rate, fingers, out, json)
+        stability.report(loaded, maps, integrators, quick, rate, fingers, error, hip, out, json)
     elif kind == "error":
-        errors.report(loaded, hip, fingers, cases, integrators, quick, error, rate, out, json)
+        errors.report(
+            loaded, hip, fingers, cases, integrators, quick, 1e-4 if error is None else error, rate, out, json
+        )
     elif kind == "gradient":
         gradient.report(loaded, fingers, json)
     elif kind == "batch":
