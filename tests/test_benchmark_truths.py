@@ -1,5 +1,6 @@
 """The truths that integrators are measured against, beside independent programs."""
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.spatial.transform import Rotation
 
+from hapjax.benchmark._sweep import Program
 from hapjax.benchmark.cases import CASES, _springs, ball, disc, lift, rod, sliding, top
 from hapjax.integrate import METHODS
 
@@ -150,8 +152,18 @@ def test_a_pendulum_falls_in_the_time_that_its_energy_gives(monkeypatch):
 def test_a_gradient_has_the_size_of_what_is_compared(case):
     scene = case.scene(METHODS["semi_implicit"]())
     assert case.gradient.where(scene).shape == np.shape(case.gradient.along)
-    if case.name not in ("heavy_top", "pendulum", "disc"):  # which take seconds
+    if case.name not in ("heavy_top", "pendulum", "disc", "rod"):  # which take seconds
         assert np.shape(case.gradient.truth()) == np.shape(case.truth())
+
+
+@pytest.mark.slow
+def test_the_rods_gradient_is_that_of_the_independent_equations(monkeypatch):
+    """Its first 0.1 s; of order 2, so that half the step has a quarter of the error."""
+    monkeypatch.setattr(rod, "SECONDS", 0.1)
+    short = dataclasses.replace(KNOWN["rod"], seconds=0.1)
+    slope, truth = Program(short, "lie_midpoint").compile_gradient(), short.gradient.truth()
+    errors = [np.linalg.norm(slope(steps) - truth) / np.linalg.norm(truth) for steps in (1000, 2000)]
+    assert errors[1] < 1e-3 and errors[0] / errors[1] == pytest.approx(4, rel=0.1)
 
 
 def test_gradients_by_a_complex_step_are_differences():
@@ -167,10 +179,16 @@ def test_gradients_by_a_complex_step_are_differences():
         place = held(axis=axis, share=0.5, loss=loss, anchors=np.array([[0.02, 0.01, 0.0]]))
         return _springs.solve(place, START, 0.1).matrix.ravel() / rod.LOSS
 
+    def pulled(part):
+        up = -9.81 * (1 + part)
+        place = held(gravity=np.array([0, 0, up]), anchors=np.array([[0.02, 0.01, 0.0]]))
+        return _springs.solve(place, START, 0.1).position / -9.81
+
     for value, step, slope in (
         (least, 1e-4, KNOWN["top"].gradient.truth()),
         (soft, 1e-3, KNOWN["load_step"].gradient.truth()),
         (lossy, 1e-2, _springs.slope(lossy, 0.0)),
+        (pulled, 1e-2, _springs.slope(pulled, 0.0)),
     ):
         ends = [value(n * step) for n in (-2, -1, 1, 2)]
         found = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / (12 * step)

@@ -42,7 +42,7 @@ def solve(held: Held, start: Place, seconds: float, begin: float = 0.0) -> Place
     """The place after `seconds` s, to about 1e-11 of its size (DOP853)."""
     momentum = start.matrix @ (held.inertia * (start.matrix.T @ start.spin))
     y = np.concatenate([start.position, _quaternion(start.matrix), start.velocity, momentum])
-    y = y + 0 * (held.mass + held.stiffness + held.loss + held.inertia[0])
+    y = y + 0 * (held.mass + held.stiffness + held.loss + held.inertia[0] + held.gravity[2])
     ended = solve_ivp(
         lambda t, y: _rate(held, t, y),
         (begin, begin + seconds),
