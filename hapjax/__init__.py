@@ -1,5 +1,6 @@
 """Multi-point haptic contact with friction: touch, hold, turn and identify virtual objects."""
 
+from .at_once import compute_at_once as compute_at_once
 from .body import Body as Body
 from .contact import Contact as Contact
 from .errors import InputError as InputError

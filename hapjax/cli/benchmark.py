@@ -56,6 +56,7 @@ def benchmark(
         json: File for the figures.
     """
     options = locals()
+    from ..at_once import compute_at_once
     from ..benchmark import _options, batch, gradient, latency, stability
     from ..benchmark import error as errors
     from ..benchmark import scene as parts
@@ -65,6 +66,8 @@ def benchmark(
     _options.check_options(kind, scene is not None, given)
     if json is not None:
         check_writable(json)
+    if kind == "latency":
+        compute_at_once()
     with jax.enable_x64(kind == "error" or jax.config.read("jax_enable_x64")):
         loaded = None if scene is None else load_scene(scene)
     if kind == "latency":

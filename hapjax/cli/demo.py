@@ -13,6 +13,8 @@ def demo(out: Path = Path("hapjax-demo"), seed: int = 0) -> int:
         out: Folder for the recordings, the scenes, the figures and the report.
         seed: Of the sensors' noise and of the starts, 0 or above.
     """
+    from ..at_once import compute_at_once
     from ..demo import run_demo
 
+    compute_at_once()
     return run_demo(out, seed)

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from ..at_once import compute_at_once
 from ..extras import need
 from ..files import check_writable
 
@@ -19,4 +20,5 @@ def doctor(rate: float = 1000.0, seconds: float = 2.0, json: Path | None = None)
     """
     if json is not None:
         check_writable(json)
+    compute_at_once()
     need("hapjax_devices.doctor.examine", "devices").report(rate, seconds, json)

@@ -2,7 +2,10 @@
 
 import sys
 
+import hapjax
+
 from .process import main
 
 if __name__ == "__main__":
+    hapjax.compute_at_once()
     sys.exit(main(sys.argv[1:]))
