@@ -3,9 +3,12 @@
 from pathlib import Path
 from typing import Literal
 
-from tyro.conf import Positional
+from tyro.conf import FlagCreatePairsOff, Positional
 
+from ..errors import InputError
 from ..extras import need
+from ..scene_file import load_scene
+from ..tuning.settings import Tuning, tuned_by_default
 
 
 def run(
@@ -20,6 +23,10 @@ def run(
     name: str = "hapjax",
     live: tuple[str, ...] = (),
     passivity: int | None = None,
+    tune: FlagCreatePairsOff[bool] = False,
+    truth: Path | None = None,
+    window: float = 4.0,
+    adopt: FlagCreatePairsOff[bool] = False,
     display: float = 1.0,
     json: Path | None = None,
 ) -> int:
@@ -39,12 +46,26 @@ def run(
         name: Of the run on the bus.
         live: Paths of numbers that other processes may change meanwhile, such as object.cube.surface.mu.
         passivity: By how many samples the devices are late, 0 to 100, to keep them passive by damping; absent: off.
+        tune: Estimate the live numbers meanwhile (absent: mu and stiffness of all that is felt), in another process; Enter
+            or SIGUSR1 hands the newest estimates to the servo.
+        truth: Of --tune: scene file of the object that simulated sensors measure under the same fingers.
+        window: Of --tune: how many of the last seconds a fit is to, 1 to 60.
+        adopt: Of --tune: hand over each estimate, unasked.
         display: Lines a second on a terminal, 0.1 to 10.
         json: File for the figures.
     """
-    session = need("hapjax_devices.session", "devices")
-    options = {"rate": rate, "seconds": seconds, "live": live, "passivity": passivity}
-    wanted = session.Session.of(
-        name, scene, device, devices, hip, readers=1 if record is None else 2, **options
-    )
-    return session.supervise(wanted, record, display, json)
+    session, tuning = need("hapjax_devices.session", "devices"), None
+    if tune:
+        need("hapjax_fitting", "fitting")
+        if truth is None:
+            raise InputError(
+                "--tune is given without --truth; allowed: with the scene that simulated sensors measure"
+            )
+        tuning = Tuning(name, str(scene), str(truth), window, adopt)
+        live = live or tuned_by_default(load_scene(scene))
+    elif truth is not None or adopt or window != 4.0:
+        raise InputError("--truth, --window and --adopt are of --tune; allowed: with it")
+    readers = 1 + (record is not None) + tune
+    options = {"rate": rate, "seconds": seconds, "live": live, "passivity": passivity, "readers": readers}
+    wanted = session.Session.of(name, scene, device, devices, hip, **options)
+    return session.supervise(wanted, record, display, json, tuning)

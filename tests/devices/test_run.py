@@ -113,6 +113,54 @@ def test_the_recorders_death_leaves_the_servo_going_and_the_servos_is_noticed(
     assert int(said[1].rsplit(" ", 1)[1]) > 200
 
 
+@pytest.mark.slow
+def test_what_is_estimated_is_handed_over_when_asked_and_no_tick_is_lost(table, tmp_path, capfd):
+    name, figures, truth = f"tuned-{os.getpid()}", tmp_path / "a.json", tmp_path / "truth.toml"
+    truth.write_text(TABLE.replace("0.5", "0.3").replace("1000.0", "600.0"))
+    taken = []
+
+    def ask():
+        with TickReader(name, 60.0) as reader:
+            first = min(at for at, _ in reader.about.live.values())
+            until, changed = time.monotonic() + 90, None
+            while changed is None or taken[-1]["tick"][-1] < changed + 4000:  # a whole stroke there and back
+                assert reader.is_alive() and time.monotonic() < until
+                if changed is None:
+                    os.kill(os.getpid(), signal.SIGUSR1)
+                time.sleep(0.3)
+                ticks = reader.take()
+                taken.append(ticks)
+                new = np.flatnonzero(ticks["memory"][:, first] != taken[0]["memory"][0, first])
+                changed = int(ticks["tick"][new[0]]) if changed is None and len(new) else changed
+            taken.append(changed)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    thread, failed = meanwhile(ask)
+    options = ["--tune", "--truth", str(truth), "--window", "1", "--name", name, "--json", str(figures)]
+    code = main(["run", str(table), "--device", "virtual", *options])
+    thread.join()
+    assert not failed and code == 0, failed
+    changed, ticks = taken.pop(), np.concatenate(taken)
+    np.testing.assert_array_equal(np.diff(ticks["tick"]), 1)
+    found = json.loads(figures.read_text())
+    (event,) = [event for event in found["events"] if event["kind"] == "numbers"]
+    assert f"from tick {changed} on" in event["sentence"]
+    estimates = [each["parameters"] for each in found["tuned"] if "parameters" in each]
+    handed = [each["adopted"] for each in found["tuned"] if each.get("adopted")]
+    assert handed == [changed] and f"count from tick {changed}" in capfd.readouterr().out
+    mu, stiffness = (estimates[0][f"object.table.surface.{n}"]["estimate"] for n in ("mu", "stiffness"))
+    assert mu == pytest.approx(0.3, rel=0.02) and stiffness == pytest.approx(600, rel=0.02)
+    # The force is that of the old numbers until then, and of the new ones from then on.
+    for part, held, slope in (
+        (ticks["tick"] < changed, 0.5, 1000.0),
+        (ticks["tick"] >= changed, mu, stiffness),
+    ):
+        normal, along = ticks["force"][part, 0, 2], np.abs(ticks["force"][part, 0, 0])
+        depth = np.maximum(-ticks["hip"][part, 0, 2], 0)
+        np.testing.assert_allclose(normal, slope * depth, atol=5e-3)  # the device's steps
+        assert along.max() == pytest.approx(held * normal.max(), abs=5e-3)
+
+
 def test_a_device_that_is_not_there_ends_it_with_a_sentence(table, tmp_path, capfd):
     file = tmp_path / "devices.toml"
     file.write_text("[[device]]\ntype = 'inverse3'\nurl = 'ws://127.0.0.1:9'\n")
@@ -132,6 +180,9 @@ REFUSED = {
     "no device": (["run", "table.toml", "--device", "wand"], ["wand", "virtual"]),
     "no name": (["run", "table.toml", "--name", "a b"], ["'a b'", "letters"]),
     "a lazy display": (["run", "table.toml", "--display", "0"], ["display is 0", "0.1 to 10"]),
+    "no truth": (["run", "table.toml", "--tune"], ["--tune", "--truth"]),
+    "no tuning": (["run", "table.toml", "--adopt"], ["--adopt", "--tune"]),
+    "a truth that is none": (["run", "table.toml", "--tune", "--truth", "none.toml"], ["none.toml"]),
     "a rate": (["run", "table.toml", "--rate", "5000"], ["rate is 5000", "100 to 4000"]),
 }
 
@@ -140,7 +191,7 @@ REFUSED = {
 def test_what_cannot_be_is_refused_before_anything_starts(case, table, monkeypatch, capsys):
     monkeypatch.chdir(table.parent)
     (table.parent / "there.mcap").touch()
-    for process in ("ServoProcess", "RecorderProcess"):
+    for process in ("ServoProcess", "RecorderProcess", "TunerProcess"):
         monkeypatch.setattr(supervisor, process, lambda *_: pytest.fail("started"))
     arguments, words = REFUSED[case]
     assert main(arguments) == 2

@@ -82,9 +82,14 @@ class About:
         )
 
     @property
+    def live_at(self) -> np.ndarray:
+        """Where in the memory all live numbers are, path after path."""
+        return np.concatenate([np.arange(*place) for place in self.live.values()])
+
+    @property
     def numbers(self) -> np.dtype:
         """A sample of all live numbers."""
-        return np.dtype([("values", "<f8", (sum(end - first for first, end in self.live.values()),))])
+        return np.dtype([("values", "<f8", (len(self.live_at),))])
 
     @property
     def tick(self) -> np.dtype:

@@ -32,8 +32,7 @@ class Inbox:
     """
 
     def __init__(self, about: About, scene: Scene, bus: TickPublisher):
-        self._live, self._bus = about.live, bus
-        self._first = min(first for first, _ in about.live.values())
+        self._live, self._places, self._bus = about.live, about.live_at, bus
         self._low = np.concatenate(
             [np.full(end - at, _low(scene, path)) for path, (at, end) in self._live.items()]
         )
@@ -52,15 +51,14 @@ class Inbox:
             values = services.values(sample, self._sample)
             sample = self._port.receive()
         new = np.array(memory)
-        mine = new[self._first : -1]
         values = values.astype(self._dtype)
-        if np.array_equal(values, mine):
+        if np.array_equal(values, new[self._places]):
             return memory
         # Written so that NaN is not allowed either.
         if not (np.all(values >= self._low) and np.all(values < np.inf)):
             self._bus.event("refused", f"numbers refused at tick {tick}: {self._said(values)}")
             return memory
-        mine[:] = values
+        new[self._places] = values
         self._bus.event("numbers", f"from tick {tick} on {self._said(values)}")
         return new
 
@@ -76,8 +74,9 @@ class Inbox:
         self.close()
 
     def _said(self, values: np.ndarray) -> str:
-        parts = {path: values[a - self._first : b - self._first] for path, (a, b) in self._live.items()}
-        return ", ".join(f"{path} is {' '.join(f'{v:.6g}' for v in each)}" for path, each in parts.items())
+        ends = np.cumsum([end - first for first, end in self._live.values()])
+        parts = zip(self._live, np.split(values, ends[:-1]), strict=True)
+        return ", ".join(f"{path} is {' '.join(f'{v:.6g}' for v in each)}" for path, each in parts)
 
 
 class Numbers:
@@ -130,8 +129,7 @@ class Numbers:
                 services.send(self._port, "Numbers", np.array([(wanted,)], self.about.numbers))
                 sent = time.monotonic()
             ticks = self._reader.take()
-            first = min(at for at, _ in self.about.live.values())
-            held = ticks["memory"][:, first : first + len(wanted)]
+            held = ticks["memory"][:, self.about.live_at]
             there = np.flatnonzero((held == wanted.astype(held.dtype)).all(axis=1))
             if len(there):
                 self._note(ticks["memory"][there[0]])

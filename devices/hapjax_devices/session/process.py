@@ -16,6 +16,7 @@ from ..passivity import Passivity
 from ..servo import run
 from .settings import Session
 
+PATIENCE = 60.0  # s that is waited for the processes that listen: they import and compile
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
@@ -89,7 +90,7 @@ def main(arguments: list[str]) -> int:
             None,
             session.rate,
             passivity=None if session.passivity is None else Passivity(session.passivity),
-            broadcast=Broadcast(session.run, session.readers),
+            broadcast=Broadcast(session.run, session.readers, PATIENCE),
             stopped=_Asked(ticks),
             live=session.live,
         )

@@ -1,6 +1,7 @@
 """Who starts the processes of a session, watches over them, and ends them in order."""
 
 import json
+import select
 import signal
 import sys
 import time
@@ -11,12 +12,14 @@ from typing import Any
 
 from hapjax import InputError
 from hapjax.files import check_writable, replacing
+from hapjax.tuning.settings import Tuning
 
 from ..bus import TickReader
 from ..recorder import RecorderProcess
 from .figures import Figures
 from .process import ServoProcess
 from .settings import Session
+from .tuner import TunerProcess
 
 PERIOD = 0.05  # s between two looks
 _PATIENCE = 600.0  # s that a recorder waits for a servo that waits for its user to home a device
@@ -24,14 +27,17 @@ _END = 10.0  # s that a process is given to end
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
-def supervise(session: Session, record: Path | None, display: float, file: Path | None) -> int:
+def supervise(
+    session: Session, record: Path | None, display: float, file: Path | None, tuning: Tuning | None = None
+) -> int:
     """Run a session until its time is over, or Ctrl-C or SIGTERM comes; returns the exit code.
 
     0: it went as asked; 1: the servo, or a device that cannot come back, failed, or the recorder did; 2: the servo refused
     its input.
 
     **Arguments:** `session`; `record`, a new file that it is recorded to; `display`, how many lines a second are printed on
-    a terminal, 0.1 to 10; `file` for the figures.
+    a terminal, 0.1 to 10; `file` for the figures; `tuning`, what is to be estimated meanwhile: it is handed over at
+    SIGUSR1, and where Enter is pressed in the terminal.
 
     **Raises:** `InputError`, before anything is started.
     """
@@ -39,10 +45,12 @@ def supervise(session: Session, record: Path | None, display: float, file: Path 
         raise InputError(f"display is {display} lines a second; allowed: 0.1 to 10")
     if record is not None:
         _check_new(record)
+    if tuning is not None:
+        tuning.check(session.loaded, len(session.devices))
     if file is not None:
         check_writable(file)
     with _asked() as asked:
-        watch = _Watch(session, record, Display(display if sys.stdout.isatty() else 0.0))
+        watch = _Watch(session, record, Display(display if sys.stdout.isatty() else 0.0), tuning)
         code = watch.until(asked)
     figures = watch.figures()
     _summary(figures)
@@ -72,10 +80,12 @@ class Display:
 class _Watch:
     """A session's processes, and what is known of them."""
 
-    def __init__(self, session: Session, record: Path | None, display: Display):
+    def __init__(self, session: Session, record: Path | None, display: Display, tuning: Tuning | None):
         self._session, self._record, self._display = session, record, display
         self._recorder = None if record is None else RecorderProcess(session.run, record, _PATIENCE)
         self._servo = ServoProcess(session)
+        self._tuner = None if tuning is None else TunerProcess(tuning)
+        self._tuned: list[dict[str, Any]] = []
         self._figures = Figures(len(session.devices))
         self._said: list[dict[str, Any]] = []
         self._refused: tuple[str, ...] = ()
@@ -86,8 +96,9 @@ class _Watch:
         reader = self._reader(asked)
         if reader is not None:
             with reader:
-                while self._servo.code() is None and not asked:
+                while self._servo.code() is None and not _to_end(asked):
                     self._look(reader)
+                    self._tune(asked)
                     time.sleep(PERIOD)
                 self._servo.stop()
                 code = self._ended()
@@ -95,7 +106,9 @@ class _Watch:
         else:
             self._servo.stop()
             code = self._ended()
-        if code < 0 and (reader is not None or not asked):
+        if self._tuner is not None:
+            self._tuner.end()
+        if code < 0 and (reader is not None or not _to_end(asked)):
             tick = self._figures.ticks - 1
             _say(f"the servo's process was killed ({signal.Signals(-code).name}) after tick {tick}")
         elif code < 0 or code > 128:  # asked to end before its loop had begun
@@ -115,12 +128,13 @@ class _Watch:
             **self._figures.to_dict(),
             "events": self._said,
             "refused": list(self._refused),
+            "tuned": self._tuned,
             "record": None if self._record is None else str(self._record),
         }
 
     def _reader(self, asked: list[int]) -> TickReader | None:
         """A reader of the servo's ticks, once it has begun; `None` where it does not."""
-        while self._servo.code() is None and not asked:
+        while self._servo.code() is None and not _to_end(asked):
             try:
                 return TickReader(self._session.run, 0.5)
             except InputError:
@@ -138,6 +152,24 @@ class _Watch:
             self._finish_recording(False)
         if self._figures.ticks:
             self._display.show(lambda: self._figures.line(self._session.rate))
+
+    def _tune(self, asked: list[int]) -> None:
+        """Say what is estimated, and have it handed over when that is asked for."""
+        tuner = self._tuner
+        if tuner is None:
+            return
+        for found in tuner.said():
+            self._tuned.append(found)
+            print(
+                f"estimated, {found['sentence']}" if "parameters" in found else found["sentence"], flush=True
+            )
+        if signal.SIGUSR1 in asked or _entered():
+            asked[:] = [number for number in asked if number != signal.SIGUSR1]
+            tuner.adopt()
+        if tuner.code() is not None:
+            _say(f"the process that estimates has ended (exit code {tuner.code()}); the servo goes on")
+            tuner.end()
+            self._tuner, self._failed = None, True
 
     def _ended(self) -> int:
         code, self._refused = self._servo.wait(_END)
@@ -162,12 +194,25 @@ class _Watch:
 def _asked() -> Iterator[list[int]]:
     """The signals that asked for the end so far, while they are listened to."""
     found: list[int] = []
-    before = {number: signal.signal(number, lambda n, _: found.append(n)) for number in _SIGNALS}
+    listened = (*_SIGNALS, signal.SIGUSR1)
+    before = {number: signal.signal(number, lambda n, _: found.append(n)) for number in listened}
     try:
         yield found
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _to_end(asked: list[int]) -> bool:
+    """Whether one of the signals asks for the end."""
+    return any(number in _SIGNALS for number in asked)
+
+
+def _entered() -> bool:
+    """Whether Enter was pressed in the terminal."""
+    if not sys.stdin or not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0)[0]:
+        return False
+    return bool(sys.stdin.readline())
 
 
 def _check_new(record: Path) -> None:
