@@ -17,6 +17,7 @@ _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
 _LEVELS = {
     "end": 2,
     "back": 2,
+    "numbers": 2,
     "fault": 4,
     "cut": 4,
 }  # foxglove.Log: 2 for news, 3 for a warning, 4 for an error
