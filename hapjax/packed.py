@@ -7,6 +7,7 @@ costs more than the step itself.
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -19,7 +20,9 @@ from jaxtyping import Array, Float
 from .errors import InputError
 from .paths import number_at, part_at
 from .scene import Scene, dtype_of
-from .simulate import State, init, step
+from .simulate import State, init, known, step, step_known
+
+_SMALL = 64  # numbers: an array of more is handed over by itself
 
 
 @dataclass(frozen=True)
@@ -29,11 +32,13 @@ class PackedStep:
     `call(memory, hip)` takes the memory of the last call and the fingers' positions (F, 3) in m as a NumPy array of
     `dtype`, and returns the new memory: one array that begins with the forces on the fingers. Under a torsion that reads
     gimbals it is `call(memory, hip, gimbal)`, with their angles (F,) in rad. `start` is the memory before the first
-    call. `compile_s` is what compiling took, in s. `live`: where in the memory the live numbers of each path are; other
-    values put there are those of all calls from then on.
+    call, and `begin(hip)` or `begin(hip, gimbal)` that for fingers which begin elsewhere. `compile_s` is what compiling
+    took, in s. `live`: where in the memory the live numbers of each path are; other values put there are those of all
+    calls from then on.
     """
 
     call: Callable[..., Array]
+    begin: Callable[..., np.ndarray]
     start: Array
     fingers: int
     dtype: np.dtype
@@ -51,7 +56,7 @@ class PackedStep:
 
     def state(self, memory: Array) -> State:
         """The memory as a State."""
-        return self.unravel(memory[3 * self.fingers : min((s.start for s in self.live.values()), default=-1)])
+        return self.unravel(memory)
 
 
 def pack(
@@ -63,13 +68,15 @@ def pack(
 ) -> PackedStep:
     """Compile the step of `scene` for fingers that start at `hip` (F, 3) m; `dt` in s, `None`: the integrator's.
 
+    The same `hip`s give the same forces as through `rollout`, to the last bit, on the same machine.
+
     **Arguments:** `gimbal` (F,) rad, where the scene's torsion is a `Gimbal`. `live`: paths of numbers, such as
-    `object.cube.surface.mu`, that can be changed between two calls; the others are compiled in.
+    `object.cube.surface.mu`, that can be changed between two calls.
 
     **Raises:** `InputError` as `init` does, and for paths of no numbers.
     """
     state = init(scene, hip, gimbal)
-    flat, unravel = ravel_pytree(state)
+    flat, build = ravel_pytree(state)
     fingers = np.shape(hip)[0]
     dtype = dtype_of(scene)
     first = 3 * fingers + len(flat)
@@ -77,25 +84,58 @@ def pack(
     ends = [first, *(first + np.cumsum([number.size for number in numbers.values()], dtype=int)).tolist()]
     places = {path: slice(*ends[i : i + 2]) for i, path in enumerate(numbers)}
 
-    def now(memory: Array) -> Scene:
-        """The scene with the numbers that the memory has."""
-        if not live:
-            return scene
-        values = [memory[place].reshape(numbers[path].shape) for path, place in places.items()]
-        return eqx.tree_at(lambda s: [part_at(s, path) for path in live], scene, values)
+    # Never compiled in: with numbers that it knows, the compiler rounds otherwise than in `rollout`, which does not.
+    given = scene if live else jax.jit(known)(scene)
+    arrays, whole = _handed((given, None if dt is None else jnp.asarray(dt, dtype)))
 
-    def packed(memory: Array, hip: Array, gimbal: Array | None = None) -> Array:
-        after, reply = step(now(memory), unravel(memory[3 * fingers : first]), hip, dt, gimbal)
+    def packed(arrays: Any, memory: Array, hip: Array, gimbal: Array | None = None) -> Array:
+        given, period = whole(*arrays)
+        if live:
+            values = [memory[place].reshape(numbers[path].shape) for path, place in places.items()]
+            given = known(eqx.tree_at(lambda s: [part_at(s, path) for path in live], given, values))
+        after, reply = step_known(given, unravel(memory), hip, period, gimbal)
+        kept = [memory[first : ends[-1]]] if live else []
+        # The touches have no reader, but what the compiler leaves out changes how it rounds what is left.
+        rest = ravel_pytree((reply.pose, reply.touch, reply.contact))[0].astype(dtype)
         lost = reply.lost.astype(dtype)[None]
-        kept = [memory[first:-1]] if live else []
-        return jnp.concatenate([reply.force.ravel(), ravel_pytree(after)[0], *kept, lost])
+        return jnp.concatenate([reply.force.ravel(), ravel_pytree(after)[0], *kept, rest, lost])
 
+    def unravel(memory: Array) -> State:
+        return build(memory[3 * fingers : first])
+
+    _, answer = jax.eval_shape(step, scene, state, np.zeros((fingers, 3), dtype), dt, gimbal)
+    answered = sum(leaf.size for leaf in jax.tree.leaves(answer)) - 1  # with the forces, without what is lost
     held = [number.ravel() for number in numbers.values()]
-    start = jnp.concatenate([jnp.zeros(3 * fingers, dtype), flat, *held, jnp.zeros(1, dtype)])
+    start = [jnp.zeros(3 * fingers, dtype), flat, *held, jnp.zeros(answered - 3 * fingers + 1, dtype)]
+    start = jnp.concatenate(start)
+
+    def begin(hip: Float[Any, "F 3"], gimbal: Float[Any, "F"] | None = None) -> np.ndarray:
+        memory = np.array(start)
+        memory[3 * fingers : first] = np.concatenate(
+            [np.ravel(leaf) for leaf in jax.tree.leaves(init(scene, hip, gimbal))]
+        )
+        return memory
+
     began = time.perf_counter()
     shapes = [(fingers, 3)] if gimbal is None else [(fingers, 3), (fingers,)]
-    call = jax.jit(packed).lower(start, *(jax.ShapeDtypeStruct(shape, dtype) for shape in shapes)).compile()
-    return PackedStep(call, start, fingers, np.dtype(dtype), unravel, time.perf_counter() - began, places)
+    inputs = [jax.ShapeDtypeStruct(shape, dtype) for shape in shapes]
+    call = partial(jax.jit(packed).lower(arrays, start, *inputs).compile(), arrays)
+    compile_s = time.perf_counter() - began
+    return PackedStep(call, begin, start, fingers, np.dtype(dtype), unravel, compile_s, places)
+
+
+def _handed(tree: Any) -> tuple[tuple[Array, list[Array]], Callable[..., Any]]:
+    """A pytree as few arrays, its small ones all in one, and what makes it of them again."""
+    leaves, structure = jax.tree.flatten(tree)
+    small = [leaf.size <= _SMALL for leaf in leaves]
+    vector, apart = ravel_pytree([leaf for leaf, few in zip(leaves, small, strict=True) if few])
+    large = [leaf for leaf, few in zip(leaves, small, strict=True) if not few]
+
+    def whole(vector: Array, large: list[Array]) -> Any:
+        parts, others = iter(apart(vector)), iter(large)
+        return jax.tree.unflatten(structure, [next(parts if few else others) for few in small])
+
+    return (vector, large), whole
 
 
 def _live(scene: Scene, paths: Sequence[str]) -> dict[str, Array]:

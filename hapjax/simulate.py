@@ -76,12 +76,14 @@ def step(
 
     **Arguments:** `dt` in s, above 0; `None`: the scene's integrator's. `gimbal` (F,) rad as for `init`.
     """
-    return _step(*_known(scene), state, hip, dt, gimbal)
+    return step_known(known(scene), state, hip, dt, gimbal)
 
 
-def _step(
-    scene: Scene, fixed: dict[str, Placed], state: State, hip: Any, dt: Any, gimbal: Any
+def step_known(
+    given: tuple[Scene, dict[str, Placed]], state: State, hip: Any, dt: Any, gimbal: Any
 ) -> tuple[State, Reply]:
+    """`step`, of what is `known` of a scene."""
+    scene, fixed = given
     hip = _as_hip(scene, hip)
     gimbal = _as_gimbal(scene, gimbal, hip)
     dt = scene.integrator.dt if dt is None else jnp.asarray(dt, hip.dtype)
@@ -131,17 +133,21 @@ def rollout(
             f"gimbals has the shape {gimbals.shape}; allowed: {hips.shape[:2]}, an angle for each of hips"
         )
     scan = scan_in_segments if checkpoint else jax.lax.scan
-    known, (numbers, build) = _known(scene), flat(state)
+    dt = None if dt is None else jnp.asarray(dt, dtype_of(scene))
+    given, (numbers, build) = (known(scene), dt), flat(state)
 
     def one(carry, x):
-        after, reply = _step(*known, build(*carry), x[0], dt, x[1])
+        # Tied to what changes, or XLA does outside of the loop what it can of a step; a product that is then no longer
+        # rounded together with its sum has other last bits than in the servo loop's step.
+        (parts, period), hip = jax.lax.optimization_barrier((given, x[0]))
+        after, reply = step_known(parts, build(*carry), hip, period, x[1])
         return (flat(after)[0], after.hip), reply
 
     carry, replies = scan(computed_again(one), (numbers, state.hip), (hips, gimbals))
     return build(*carry), replies
 
 
-def _known(scene: Scene) -> tuple[Scene, dict[str, Placed]]:
+def known(scene: Scene) -> tuple[Scene, dict[str, Placed]]:
     """The scene with its bodies' inertias, and where fixed objects are: what a loop of steps need not find anew in each."""
     turning = [name for name in scene.moving() if _parts(scene, name)[0].rotation]
 

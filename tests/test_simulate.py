@@ -84,6 +84,16 @@ def test_the_packed_step_is_the_step(dtype):
     assert packed.state(memory).motion["cube"].position == pytest.approx(replies.pose[9, 0, :3], abs=1e-6)
 
 
+def test_a_packed_step_begins_where_the_fingers_are(dtype):
+    """Also where that is not where it was compiled for."""
+    scene, hips = hapjax.cast(lively(), dtype), fingers().astype(dtype)
+    packed = hapjax.pack(scene, hips[0])
+    np.testing.assert_array_equal(packed.begin(hips[0]), packed.start)
+    begun = packed.state(jnp.asarray(packed.begin(hips[-1])))
+    jax.tree.map(np.testing.assert_array_equal, begun, hapjax.init(scene, hips[-1]))
+    assert np.any(packed.begin(hips[-1]) != packed.start)
+
+
 def test_forces_of_all_objects_add_up():
     _, replies = play(lively(), fingers())
     total = np.zeros_like(replies.force)
