@@ -88,20 +88,22 @@ def test_a_ball_that_loses_nothing_bounces_on():
 # The closed loop --------------------------------------------------------------------------------------------
 
 
-def eigenvalue_limit(mass, damping, period, delay):
+def eigenvalue_limit(mass, damping, period, delay, spring=0.0):
     """The stiffness at which the sampled loop, a linear map of place, speed and the last places, reaches radius 1."""
+    # A spring of next to nothing stands for none: what a held force does is then found by one formula.
+    rates = np.array([[0.0, 1.0], [-max(spring, 1e-3) / mass, -damping / mass]])
+    speeds, shapes = np.linalg.eig(rates)
+    moved = np.real(shapes @ np.diag(np.exp(speeds * period)) @ np.linalg.inv(shapes))
+    pushed = np.linalg.solve(rates, (moved - np.eye(2))[:, 1] / mass)
 
     def radius(stiffness):
-        decay = np.exp(-damping * period / mass)
         step = np.eye(2 + delay, k=-1)
         step[:2] = 0
         if delay:
             step[2] = 0
             step[2, 0] = 1
-        step[0, :2] = 1, mass / damping * (1 - decay)
-        step[1, 1] = decay
-        push = [period / damping - mass / damping**2 * (1 - decay), (1 - decay) / damping]
-        step[:2, 0 if delay == 0 else 1 + delay] -= stiffness * np.array(push)
+        step[:2, :2] = moved
+        step[:2, 0 if delay == 0 else 1 + delay] -= stiffness * pushed
         return np.max(np.abs(np.linalg.eigvals(step)))
 
     low, high = 1.0, 1e7
@@ -112,11 +114,17 @@ def eigenvalue_limit(mass, damping, period, delay):
 
 
 def test_the_stiffest_wall_is_that_of_the_eigenvalues():
+    hand = loop.HELD
     found = loop.measure(rates=(500.0,), masses=(0.05,), dampings=(0.5, 5.0), delays=(0, 2))
     for limit in found:
-        truth = eigenvalue_limit(limit.mass, limit.damping, 1 / limit.rate, limit.delay)
+        period = 1 / limit.rate
+        truth = eigenvalue_limit(limit.mass, limit.damping, period, limit.delay)
         assert limit.stable == pytest.approx(truth, rel=2e-3)
         assert limit.stable >= limit.passive * (1 - 1e-3)  # a passive wall is stable with any device
+        held = limit.mass + hand.mass, limit.damping + hand.damping
+        truth = eigenvalue_limit(*held, period, limit.delay, hand.stiffness)
+        assert limit.held == pytest.approx(truth, rel=2e-3)
+        assert limit.held >= limit.passive_held * (1 - 1e-3) > limit.passive
     assert found[-1].stable > 1.05 * found[-1].passive
 
 

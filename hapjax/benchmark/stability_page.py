@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..files import replacing
 from .error_scene import unsure
 from .stability_cells import BLOWN_UP, LATEST, QUIET, RINGING, SECONDS, SETTLED, WILD
-from .stability_loop import Limit
+from .stability_loop import HELD, Limit
 from .stability_maps import Cell, Map
 from .stability_scene import Choice, Wall, cheapest
 
@@ -47,7 +47,8 @@ LOOP = (
     "A device of mass m and damping b is pressed with 1 N on a wall that hapjax steps at the rate, on positions that "
     "are late by whole samples. Lines: the stiffest passive wall, b > K T / 2 (Colgate and Schenkel 1997), with a delay of "
     "d samples b > K T (1/2 + d), whoever holds the device. Marks: the stiffest stable one in simulation, of the device "
-    "alone."
+    f"alone. In a hand: of the device in one of {HELD.mass:g} kg, {HELD.stiffness:g} N/m and {HELD.damping:.3g} N s/m, over "
+    "what is passive with that hand's damping too."
 )
 
 
@@ -67,10 +68,12 @@ def loop_rows(limits: Sequence[Limit]) -> tuple[list[str], list[list[str]]]:
     """By rate and delay, how the stable stiffness is to the passive one: the header, and a row of each."""
     rows = []
     for rate, delay in dict.fromkeys((x.rate, x.delay) for x in limits):
-        some = [x.stable / x.passive for x in limits if (x.rate, x.delay) == (rate, delay)]
-        passive = next(x.passive / x.damping for x in limits if (x.rate, x.delay) == (rate, delay))
-        rows.append([f"{rate:g}", str(delay), f"{passive:g}", f"{min(some):.3f} to {max(some):.3f}"])
-    return ["rate, Hz", "samples late", "passive, N/m for each N s/m", "stable over passive"], rows
+        some = [x for x in limits if (x.rate, x.delay) == (rate, delay)]
+        borders = [x.stable / x.passive for x in some], [x.held / x.passive_held for x in some]
+        measured = [f"{min(each):.3f} to {max(each):.3f}" for each in borders]
+        rows.append([f"{rate:g}", str(delay), f"{some[0].passive / some[0].damping:g}", *measured])
+    header = ["rate, Hz", "samples late", "passive, N/m for each N s/m", "stable over passive", "in a hand"]
+    return header, rows
 
 
 def choice_rows(choices: Sequence[Choice], rate: float) -> tuple[list[str], list[list[str]]]:

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 from PIL import Image
 
 from .stability_cells import BLOWN_UP, RINGING, SETTLED
-from .stability_loop import Limit
+from .stability_loop import HELD, Limit
 from .stability_maps import Cell, Map
 
 # Okabe and Ito's colours, told apart by the colour-blind as well.
@@ -60,8 +60,8 @@ def of_loop(limits: Sequence[Limit]) -> bytes:
             some = [x for x in limits if (x.delay, x.rate) == (delay, rate)]
             one_mass = [x for x in some if x.mass == masses[0]]
             axes.plot(
-                [x.damping for x in one_mass],
-                [x.passive for x in one_mass],
+                [x.damping for x in one_mass] + [x.damping + HELD.damping for x in one_mass],
+                [x.passive for x in one_mass] + [x.passive_held for x in one_mass],
                 color=colour,
                 lw=1,
                 label=f"{rate:g} Hz: passive",
@@ -77,7 +77,15 @@ def of_loop(limits: Sequence[Limit]) -> bytes:
                     mfc="none",
                     label=f"{mass:g} kg: stable" if rate == rates[0] else None,
                 )
-        axes.set(xscale="log", yscale="log", xlabel="damping of the device, N s/m")
+            axes.plot(
+                [x.damping + HELD.damping for x in some],
+                [x.held for x in some],
+                "x",
+                color=colour,
+                ms=4,
+                label="in a hand: stable" if rate == rates[0] else None,
+            )
+        axes.set(xscale="log", yscale="log", xlabel="damping of device and hand, N s/m")
         axes.set_title(f"{delay} sample{'' if delay == 1 else 's'} late", fontsize=9)
         axes.grid(True, alpha=0.25)
     panels[0].set_ylabel("stiffness of the wall, N/m")
