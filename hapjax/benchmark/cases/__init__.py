@@ -8,7 +8,7 @@ from .disc import DISC
 from .lift import HOLD, LOAD_STEP, SLIP
 from .rod import PENDULUM, ROD
 from .sliding import DIAGONAL, INCLINE_HOLD, INCLINE_SLIDE, SLIDE
-from .tip import TIP
+from .tip import TIP, TIP_REST
 from .top import HEAVY_TOP, TOP
 
 CASES: dict[str, Case] = {
@@ -29,6 +29,7 @@ CASES: dict[str, Case] = {
         HOLD,
         DISC,
         TIP,
+        TIP_REST,
         LOAD_STEP,
         PENDULUM,
     )
