@@ -12,6 +12,7 @@ from hapjax import Recording, Scene, cast
 
 from . import robust
 from .arguments import check_count, check_recordings, check_search
+from .correlated import correlated
 from .dropping import lost_at, lost_of, of_nothing, without
 from .findings import findings_of
 from .grip import is_mu
@@ -21,7 +22,7 @@ from .observation import CHANNELS, observation_of
 from .outcome import result_of
 from .parameters import Selector, free_parameters, paths_of, reported
 from .priors import priors_of
-from .problem import Problem, numbers_in, residuals_at, side_by_side, stacked_residuals
+from .problem import Problem, channels_of, numbers_in, residuals_at, side_by_side, stacked_residuals
 from .progress import following
 from .reduced import reduced
 from .result import FitResult
@@ -140,4 +141,6 @@ def fit(
     result = result if enough else of_nothing(result)
     friction = any(map(is_mu, parameters))
     measured_by = {name: result.sensors_of(name) for name in called}
-    return replace(result, findings=findings_of(scene, recordings, names, friction, measured_by))
+    found = findings_of(scene, recordings, names, friction, measured_by)
+    alike = correlated(channels_of(residuals, problem), noise or (), loss) if enough else []
+    return replace(result, findings=(*found, *alike))

@@ -56,7 +56,7 @@ def result_of(
         known = known.widened(factors, widest)
     spread = known.covariance if back is None else back @ known.covariance @ back.T
     explained = max(size.values()) < _EXPLAINED  # in units of the noise
-    flat = without_influence(matrix, problem) if problem.reported == problem.parameters else []
+    flat = without_influence(matrix, problem)
     limits = {i: ends_of(free, problem, i, chance) for i in flat}
     jumping = [is_unseen(problem, i) and cost[i] > chance for i in range(len(free))]
     estimates = {
