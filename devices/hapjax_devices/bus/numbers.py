@@ -24,7 +24,7 @@ class Inbox:
     """The servo's end: new numbers go into the packed step's memory, where the bus and so a recording have them too.
 
     They were checked before they were sent. Here, in the middle of a loop, there is time only to see that each is finite
-    and not below what is allowed.
+    and not below what is allowed; and it is said a tick later what was taken, not to do all in one tick.
 
     **Arguments:** `about` the run; its `scene`; the `bus`, on which it is said what was taken and what was refused.
 
@@ -33,37 +33,62 @@ class Inbox:
 
     def __init__(self, about: About, scene: Scene, bus: TickPublisher):
         self._live, self._places, self._bus = about.live, about.live_at, bus
-        self._low = np.concatenate(
-            [np.full(end - at, _low(scene, path)) for path, (at, end) in self._live.items()]
-        )
-        self._sample, self._dtype = about.numbers, np.dtype(about.dtype)
+        self._low = [
+            low for path, (first, end) in about.live.items() for low in [_low(scene, path)] * (end - first)
+        ]
+        self._high, self._sample = float(np.finfo(about.dtype).max), about.numbers
+        self._news: tuple[str, str, list[float]] | None = None  # that is still to be told
         self._node = services.join(about.run)
         with services.said(f"the live numbers of {about.run}"):
             self._service = services.numbers(self._node, about.run, about.numbers).create()
             self._port = self._service.subscriber_builder().create()
+        # What is done for the first time takes ten times as long.
+        memory = np.zeros(int(self._places.max()) + 1, about.dtype)
+        self._taken(0, memory, [1.0] * len(self._low))
+        self._said([1.0] * len(self._low))
+        self._news = None
 
     def put(self, tick: int, memory: Any) -> Any:
         """The memory for the step of a tick: with the newest numbers that came, or, where none did, as it is."""
+        if self._news is not None:
+            self._tell()
         sample = self._port.receive()
         if sample is None:
             return memory
         while sample is not None:
             values = services.values(sample, self._sample)
             sample = self._port.receive()
-        new = np.array(memory)
-        values = values.astype(self._dtype)
-        if np.array_equal(values, new[self._places]):
-            return memory
+        return self._taken(tick, memory, values)
+
+    def _taken(self, tick: int, memory: Any, values: list[float]) -> Any:
         # Written so that NaN is not allowed either.
-        if not (np.all(values >= self._low) and np.all(values < np.inf)):
-            self._bus.event("refused", f"numbers refused at tick {tick}: {self._said(values)}")
+        if not all(low <= value <= self._high for low, value in zip(self._low, values, strict=True)):
+            self._news = ("refused", f"numbers refused at tick {tick}: ", values)
             return memory
+        new = np.array(memory)
+        before = new[self._places].tolist()
         new[self._places] = values
-        self._bus.event("numbers", f"from tick {tick} on {self._said(values)}")
+        if new[self._places].tolist() == before:
+            return memory
+        self._news = ("numbers", f"from tick {tick} on ", values)
         return new
+
+    def _tell(self) -> None:
+        assert self._news is not None
+        kind, said, values = self._news
+        self._bus.event(kind, said + self._said(values))
+        self._news = None
+
+    def _said(self, values: list[float]) -> str:
+        left, parts = iter(values), []
+        for path, (first, end) in self._live.items():
+            parts.append(f"{path} is {' '.join(f'{next(left):.6g}' for _ in range(first, end))}")
+        return ", ".join(parts)
 
     def close(self) -> None:
         """Leave the bus."""
+        if self._news is not None:
+            self._tell()
         self._port.delete()
         self._service = self._node = None
 
@@ -72,11 +97,6 @@ class Inbox:
 
     def __exit__(self, *exception) -> None:
         self.close()
-
-    def _said(self, values: np.ndarray) -> str:
-        ends = np.cumsum([end - first for first, end in self._live.values()])
-        parts = zip(self._live, np.split(values, ends[:-1]), strict=True)
-        return ", ".join(f"{path} is {' '.join(f'{v:.6g}' for v in each)}" for path, each in parts)
 
 
 class Numbers:

@@ -3,6 +3,7 @@
 import ctypes
 import os
 import re
+import struct
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -93,9 +94,11 @@ def send(port: Any, name: str, record: np.ndarray) -> None:
     port.send_copy(payload(name, record.dtype).from_buffer_copy(record.tobytes()))
 
 
-def values(sample: Any, dtype: np.dtype) -> np.ndarray:
-    """A copy of the numbers of a sample that was received."""
-    return np.frombuffer(ctypes.string_at(sample.payload_ptr, dtype.itemsize), dtype)[0]["values"]
+def values(sample: Any, dtype: np.dtype) -> list[float]:
+    """The numbers of a sample that was received. In the middle of a loop: nothing is quicker than struct."""
+    return list(
+        struct.unpack(f"<{dtype.itemsize // 8}d", ctypes.string_at(sample.payload_ptr, dtype.itemsize))
+    )
 
 
 def depth(rate: float) -> int:
@@ -103,6 +106,7 @@ def depth(rate: float) -> int:
     return max(EVENTS, int(np.ceil(LATE * rate)))
 
 
+@cache  # to make a type takes longer than to send one of it
 def payload(name: str, sample: np.dtype) -> type[ctypes.Structure]:
     """A sample as the library wants it: so many times 8 bytes."""
     words, rest = divmod(sample.itemsize, 8)
