@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import hapjax
+from bus_cases import about
 from hapjax import InputError
 from hapjax_devices import DeviceError, Falcon, GimbalDevice, Inverse3, RecoverableDevice, VirtualDevice
 from hapjax_devices.session import Session, process
@@ -301,10 +302,7 @@ def test_spreads_are_right_to_a_hundredth():
 
 
 def test_figures_say_what_was_felt():
-    kind = [(n, "f8") for n in ("lateness_us", "compute_us")] + [
-        (n, "i8") for n in ("tick", "missed", "not_finite", "limited", "lost")
-    ]
-    ticks = np.zeros(4, np.dtype([*kind, ("force", "f8", (2, 3))]))
+    ticks = np.zeros(4, about("test", fingers=2).tick)
     ticks["tick"], ticks["missed"] = np.arange(4), [0, 0, 1, 2]
     ticks["force"][:, 1] = np.arange(4)[:, None] * np.array([0.0, 3.0, 4.0])
     figures = Figures(2)

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 _SHARES = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999}
-_COUNTS = ("missed", "not_finite", "limited", "lost")
 
 
 class Spread:
@@ -66,7 +65,11 @@ class Figures:
 
     def to_dict(self) -> dict[str, Any]:
         """All of them; force in N."""
-        counts = {name: 0 if self.newest is None else int(self.newest[name]) for name in _COUNTS}
+        counts = {}
+        if self.newest is not None:
+            names = self.newest.dtype.names
+            counted = names[names.index("compute_us") + 1 : names.index("down")]
+            counts = {name: int(self.newest[name]) for name in counted}
         mean = self._sum / max(self.ticks, 1)
         return {
             "ticks": self.ticks,

@@ -24,6 +24,7 @@ from .tuner import TunerProcess
 PERIOD = 0.05  # s between two looks
 _PATIENCE = 600.0  # s that a recorder waits for a servo that waits for its user to home a device
 _END = 10.0  # s that a process is given to end
+_COUNTED = ("end", "missed", "ramped")  # events that the counts and the summary tell of, and no sentence
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
@@ -108,11 +109,12 @@ class _Watch:
             code = self._ended()
         if self._tuner is not None:
             self._tuner.end()
-        if code < 0 and (reader is not None or not _to_end(asked)):
+        unbegun = code == 128 + signal.SIGTERM or (code < 0 and reader is None)
+        if _to_end(asked) and unbegun:
+            code = 0
+        elif code < 0:
             tick = self._figures.ticks - 1
             _say(f"the servo's process was killed ({signal.Signals(-code).name}) after tick {tick}")
-        elif code < 0 or code > 128:  # asked to end before its loop had begun
-            code = 0
         self._finish_recording(code == 0 and reader is None)
         return 1 if code < 0 or (code == 0 and self._failed) else code
 
@@ -146,7 +148,7 @@ class _Watch:
         self._figures.add(reader.take())
         for event in reader.events():
             self._said.append({"tick": event.tick, "kind": event.kind, "sentence": event.sentence})
-            if event.kind != "end":
+            if event.kind not in _COUNTED:
                 _say(f"{event.tick / self._session.rate:.3f} s: {event.sentence}")
         if self._recorder is not None and not self._recorder.is_alive():
             self._finish_recording(False)
