@@ -29,7 +29,7 @@ def correlated(
     for key in dict.fromkeys(name for name, _ in channels):
         parts = [np.where(lost(r)[..., None], 0, r) for name, r in channels if name == key]
         length, square = max(r.shape[1] for r in parts), sum(float(np.sum(r**2)) for r in parts)
-        time = correlation_time(parts if loss == "squares" else [slope(r, loss) for r in parts])
+        time = correlation_time([slope(r, loss) for r in parts])
         small = square < _SIZE**2 * sum(r.size for r in parts)
         if small or time < max(_LEAST, 1 + _CHANCE / np.sqrt(length)):
             continue

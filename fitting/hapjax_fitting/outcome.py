@@ -51,7 +51,7 @@ def result_of(
     widest = np.array([p.transform.widest for p in said])
     known = certainty(slopes, variance, widest, cost > chance)
     factors = np.ones(len(free))
-    if problem.loss == "squares" and not set(size) <= set(given_noise or {}):
+    if not set(size) <= set(given_noise or {}):
         factors = widened(free, problem, residuals, slopes, back, known, given_noise)
         known = known.widened(factors, widest)
     spread = known.covariance if back is None else back @ known.covariance @ back.T

@@ -47,22 +47,27 @@ def unrooted(rooted: Float[np.ndarray, "*n"], loss: str) -> Float[np.ndarray, "*
 
 def slope(residuals: Float[np.ndarray, "*n"], loss: str) -> Float[np.ndarray, "*n"]:
     """psi: the derivative of the loss."""
+    if loss == "squares":
+        return residuals
     if loss == "huber":
         return np.clip(residuals, -_HUBER, _HUBER)
     return (_STUDENT + 1) * residuals / (_STUDENT + residuals**2)
 
 
+def curvature(residuals: Float[np.ndarray, "*n"], loss: str) -> Float[np.ndarray, "*n"]:
+    """psi': the second derivative of a robust loss."""
+    if loss == "huber":
+        return (np.abs(residuals) <= _HUBER).astype(np.float64)
+    square = residuals**2
+    return (_STUDENT + 1) * (_STUDENT - square) / (_STUDENT + square) ** 2
+
+
 def spread(residuals: Float[np.ndarray, "*n"], loss: str) -> tuple[float, float]:
     """mean psi^2 over mean psi', and over its square: what stands for the variance of a residual in the loss, and in the
     covariance of an estimate (Huber 1981, section 7.6)."""
-    if loss == "huber":
-        curvature = np.mean(np.abs(residuals) <= _HUBER)
-    else:
-        square = residuals**2
-        curvature = np.mean((_STUDENT + 1) * (_STUDENT - square) / (_STUDENT + square) ** 2)
-    curvature = max(float(curvature), 1e-3)  # the model explains next to nothing
+    bend = max(float(np.mean(curvature(residuals, loss))), 1e-3)  # the model explains next to nothing
     square = float(np.mean(slope(residuals, loss) ** 2))
-    return square / curvature, square / curvature**2
+    return square / bend, square / bend**2
 
 
 def spreads(

@@ -1,6 +1,7 @@
 """How much less certain the data leave each number than white noise of one size a channel would."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Array, Float
 from .noise import correlation_time, lost
 from .parameters import stems_of
 from .problem import Problem, channels_of, pieces_of, residuals_at
+from .robust import curvature, slope, unrooted
 from .uncertainty import Certainty
 
 _STEP = {np.dtype("float64"): 1e-4, np.dtype("float32"): 0.1}  # standard errors
@@ -29,7 +31,8 @@ def widened(
     It takes a channel's residuals for noise of one size. Noise may differ by axis, grow with the force, or
     be there just where a number shows. So each sample's pull on each estimate is looked at, (J'J)^-1 J_t' r_t, and the
     variance of their sum, times the residuals' `correlation_time` (White 1980, A heteroskedasticity-consistent covariance
-    matrix estimator). Noise that was given is believed, and priors are.
+    matrix estimator). Noise that was given is believed, and priors are. Of a robust loss a sample's pull is psi of its
+    residual, over what psi' leaves of J'J (Huber 1981, section 7.6).
 
     **Arguments:** `slopes`, the Jacobian by the reported numbers, in few rows, those of priors last; `back`, the derivative
     of the free numbers by the reported ones.
@@ -37,6 +40,7 @@ def widened(
     count, known, inverse = len(free), problem.known(), certain.inverse
     factors, steps = np.ones(count), np.sqrt(np.diag(certain.covariance))
     sizes = _STEP[np.dtype(free.dtype)] * steps
+    residuals = _of_data(residuals, problem)
     changes = _changes(free, problem, residuals, sizes, np.eye(count) if back is None else back)
     rows = slopes[len(slopes) - known :]
     # Where a touch begins or slides a step earlier, a difference quotient is no derivative.
@@ -49,22 +53,29 @@ def widened(
     wrong = np.abs(found - square) > _ALIKE * square
     if wrong[steps > 0].any():
         return factors
+    if problem.loss != "squares":
+        inverse = _bent(residuals, changes, problem, sizes, rows, inverse)
     variance = problem.weighed * np.sum((rows @ inverse) ** 2, axis=0)
-    pieces, taken = channels_of(residuals, problem), given or {}
-    alike = {
-        key: correlation_time([np.where(lost(r)[..., None], 0, r) for name, r in pieces if name == key])
-        for key in {key for key, _ in pieces}
-    }
+    alike, taken = _alike(residuals, problem), given or {}
     surplus = problem.measured() / (problem.measured() - problem.fitted())
     for key, r, own, quotients in _by_recording(residuals, changes, problem, sizes):
         pull = quotients @ inverse[own]
+        psi = slope(r, problem.loss)
         if key in taken:
-            variance += np.sum(pull**2, axis=(0, 1))
+            variance += np.sum(pull**2, axis=(0, 1)) * (1.0 if problem.loss == "squares" else np.mean(psi**2))
         else:
-            variance += surplus * alike[key] * np.sum(np.einsum("nm,nmp->np", r, pull) ** 2, axis=0)
+            variance += surplus * alike[key] * np.sum(np.einsum("nm,nmp->np", psi, pull) ** 2, axis=0)
     seen = steps > 0
     factors[seen] = np.sqrt(np.maximum(1, variance[seen] / steps[seen] ** 2))
     return factors
+
+
+def _alike(residuals: Float[np.ndarray, " n"], problem: Problem) -> dict[str, float]:
+    """Of each channel over how many samples pulls err alike."""
+    parts: dict[str, list[np.ndarray]] = {}
+    for key, r in channels_of(residuals, replace(problem, loss="squares")):
+        parts.setdefault(key, []).append(slope(np.where(lost(r)[..., None], 0, r), problem.loss))
+    return {key: correlation_time(series) for key, series in parts.items()}
 
 
 def _changes(
@@ -79,8 +90,33 @@ def _changes(
     found = []
     for stem in stems_of(problem.reported):
         along = directions[:, stem] @ sizes[stem]
-        found.append(residuals_at(free + jnp.asarray(along, free.dtype), problem) - residuals)
+        found.append(
+            _of_data(residuals_at(free + jnp.asarray(along, free.dtype), problem), problem) - residuals
+        )
     return found
+
+
+def _of_data(stacked: Float[np.ndarray, " n"], problem: Problem) -> Float[np.ndarray, " m"]:
+    """The residuals themselves, without those of priors."""
+    return unrooted(stacked[: len(stacked) - problem.known()], problem.loss)
+
+
+def _bent(
+    residuals: Float[np.ndarray, " n"],
+    changes: Sequence[Float[np.ndarray, " n"]],
+    problem: Problem,
+    sizes: Float[np.ndarray, " p"],
+    rows: Float[np.ndarray, "k p"],
+    inverse: Float[np.ndarray, "p p"],
+) -> Float[np.ndarray, "p p"]:
+    """The inverse of a robust loss's own curvature, J' psi' J, where (J'J)^-1 is its like of squares."""
+    matrix = rows.astype(np.float64).T @ rows
+    for _, r, own, quotients in _by_recording(residuals, changes, problem, sizes):
+        bend = curvature(r, problem.loss)
+        matrix[np.ix_(own, own)] += np.einsum("nmp,nm,nmq->pq", quotients, bend, quotients, optimize=True)
+    size = np.sqrt(np.diag(inverse))
+    scale = np.outer(size, size)  # 0 for numbers that nothing shows
+    return scale * np.linalg.pinv(scale * matrix, rcond=1e-12, hermitian=True)
 
 
 def _by_recording(

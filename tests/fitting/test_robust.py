@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from fitting_cases import BOTH, MU, SIGMA, STIFFNESS, TRUTH, floor, recorded
+from fitting_cases import BOTH, MU, SIGMA, STIFFNESS, TRUTH, floor, forces, recorded, stroke
 from hapjax import InputError, Recording
 from hapjax_fitting import fit
 from hapjax_fitting.problem import loss_at, stacked_residuals
@@ -102,3 +102,18 @@ def test_outliers_hardly_move_a_robust_fit(loss):
 def test_an_unknown_loss_is_refused():
     with pytest.raises(InputError, match="loss is 'cubes'; allowed: squares, huber, student"):
         fit(floor(), recorded(floor(), steps=30), [MU], loss="cubes")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loss", RHO)
+def test_intervals_of_a_robust_fit_allow_for_noise_that_differs_by_axis(loss):
+    """The load is ten times as noisy as the friction: nearly all of its samples are in the tail."""
+    (t, path), clean, off = stroke(300), forces(floor(), stroke(300)[1]), []
+    for seed in range(8):
+        noise = np.array([0.01, 0.01, 0.1]) * np.random.default_rng(seed).standard_normal(clean.shape)
+        seen = Recording(hip=path, hip_t=t, force=clean + noise, force_t=t)
+        result = fit(floor(), seen, BOTH, starts=1, loss=loss)
+        p = result.parameters[STIFFNESS]
+        assert p.estimate is not None and p.standard_error is not None and result.widened[1] > 2
+        off.append((p.estimate - 800) / p.standard_error)
+    assert 0.4 < np.sqrt(np.mean(np.square(off))) < 2  # without allowing for it, 5 or 8
