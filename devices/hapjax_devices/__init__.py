@@ -29,9 +29,11 @@ from .passivity import PassivityControl as PassivityControl
 from .placement import Placement as Placement
 from .recorder import RecorderProcess as RecorderProcess
 from .recorder import record as record
+from .reflex import Reflex as Reflex
 from .safety import ForceGuard as ForceGuard
 from .sensor import ForceSensor as ForceSensor
 from .sensor import PoseTracker as PoseTracker
 from .servo import ServoResult as ServoResult
 from .servo import run as run
+from .tremor import Tremor as Tremor
 from .virtual import VirtualDevice as VirtualDevice

@@ -1,25 +1,32 @@
-"""A human hand as a mass on a spring and a damper, whose other end follows a script."""
+"""A human hand as a mass on a spring and a damper, whose other end follows a script or goes where it is told."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import ArrayLike
 
 from hapjax import InputError
+
+from .reflex import Reflex, ReflexArc
+from .tremor import Tremor
 
 
 @dataclass(frozen=True)
 class Hand:
     """An operator's hand: `mass` in kg, `stiffness` in N/m, `damping` in N s/m, all above 0.
 
-    `damping` None is critical damping, 2 sqrt(stiffness mass).
+    `damping` None is critical damping, 2 sqrt(stiffness mass). `reflex`: what pulls late, beside these; `tremor`: what
+    makes the hand tremble; None: off.
     """
 
     mass: float = 0.15
     stiffness: float = 400.0
     damping: float | None = None
+    reflex: Reflex | None = None
+    tremor: Tremor | None = None
 
     def __post_init__(self):
         for name in ("mass", "stiffness", "damping"):
@@ -47,7 +54,8 @@ class Operator:
     """A hand that follows a path and yields to forces: m x'' = k (p - x) + c (p' - x') + f.
 
     Exact for a force that is constant and a path that is straight between samples, so stable for any
-    period. Time is counted in samples, never taken from a clock: the same script gives the same motion.
+    period. Time is counted in samples, never taken from a clock: the same script gives the same motion. The hand's
+    reflex and tremor add to f, each with its mean over the sample, which is exact to second order in the period.
 
     **Arguments:** `path` (T, 3) m, where the hand wants to be at each sample, its last row from then on, or where
     `again`, the whole of it from the first row on, without end; `period` in s between samples, above 0.
@@ -62,6 +70,11 @@ class Operator:
         if not 0 < period < np.inf:
             raise InputError(f"period is {period} s; allowed: above 0")
         self._path, self._period, self._again = path, period, again
+        self._passage: tuple[int, int, np.ndarray] | None = (
+            None  # its first sample, how many, its coefficients
+        )
+        self._reflex = None if hand.reflex is None else ReflexArc(hand.reflex, period)
+        self._tremor = hand.tremor
         self._from_offset, self._from_velocity = hand.transition(period).T
         self._compliance = 1 / hand.stiffness
         self._sample = 0
@@ -72,13 +85,58 @@ class Operator:
         """Go on to the next sample while `force` (N) pushes the hand."""
         start, end = self._goal(self._sample), self._goal(self._sample + 1)
         pace = (end - start) / self._period
+        if self._reflex is not None:
+            force = force + self._reflex(self.position - start, self.velocity - pace)
+        if self._tremor is not None:
+            force = force + self._tremor.force((self._sample + 0.5) * self._period)
         rest = force * self._compliance  # where the force alone would hold the hand, from the path
         offset, velocity = self.position - start - rest, self.velocity - pace
         self.position = end + rest + self._from_offset[0] * offset + self._from_velocity[0] * velocity
         self.velocity = pace + self._from_offset[1] * offset + self._from_velocity[1] * velocity
         self._sample += 1
 
+    @property
+    def goal(self) -> Float[np.ndarray, "3"]:
+        """Where the hand wants to be now, m."""
+        return self._goal(self._sample)
+
+    def go_to(self, point: ArrayLike, duration: float) -> None:
+        """From now on the hand wants to be at `point` (m), and passes there in `duration` seconds, in place of its path.
+
+        The goal goes on from its place, velocity and acceleration to rest at the point with the least jerk, a quintic
+        (Flash and Hogan 1985); within the passage it can be told anew.
+
+        **Raises:** `InputError` for a point that is not three finite numbers, and a duration not above 0.
+        """
+        end = np.array(point, np.float64)
+        if end.shape != (3,) or not np.all(np.isfinite(end)):
+            raise InputError(f"point is {np.asarray(point).tolist()}; allowed: three finite numbers in m")
+        if not 0 < duration < np.inf:
+            raise InputError(f"duration is {duration} s; allowed: above 0")
+        count = max(1, round(duration / self._period))
+        place, velocity, acceleration = self._goal_moves()
+        first, second, way = velocity * count, acceleration * count**2, end - place
+        coefficients = [
+            *(place, first, second / 2, 10 * way - 6 * first - 1.5 * second),
+            *(-15 * way + 8 * first + 1.5 * second, 6 * way - 3 * first - 0.5 * second),
+        ]
+        self._passage = self._sample, count, np.array(coefficients)
+
+    def _goal_moves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The goal's place, velocity and acceleration now, in samples."""
+        place = self._goal(self._sample)
+        if self._passage is None:
+            return place, place - self._goal(max(self._sample - 1, 0)), np.zeros(3)
+        begun, count, coefficients = self._passage
+        u = min((self._sample - begun) / count, 1.0)
+        slopes = (polyder(coefficients, order) for order in (1, 2))
+        velocity, acceleration = (polyval(u, slope) / count**order for order, slope in enumerate(slopes, 1))
+        return place, velocity, acceleration
+
     def _goal(self, sample: int) -> Float[np.ndarray, "3"]:
+        if self._passage is not None:
+            begun, length, coefficients = self._passage
+            return np.asarray(polyval(min((sample - begun) / length, 1.0), coefficients))
         count = len(self._path)
         return self._path[sample % count if self._again else min(sample, count - 1)]
 
