@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 
 import numpy as np
 
@@ -97,5 +98,6 @@ def main(arguments: list[str]) -> int:
     except (InputError, DeviceError) as error:
         print(f"hapjax: {error}", file=sys.stderr)
         return 2 if isinstance(error, InputError) else 1
-    print(json.dumps({"refused": result.refused}))
+    with suppress(BrokenPipeError):  # who started it is no more
+        os.write(sys.stdout.fileno(), json.dumps({"refused": result.refused}).encode())
     return 0
