@@ -12,20 +12,28 @@ import jax
 
 AS_IT_IS, ROUNDS = "as it is", 10
 ONE_THREAD = {"NPROC": "1"}
-LOOP_FLAG = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000"
+FLAGS = {
+    "in order": "--xla_cpu_scheduler_type=CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
+    "loop flag": "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000",
+}
 
 Programs = Mapping[str, tuple[Callable[[], Any], float]]  # and s to compile each
 
 
 def others() -> dict[str, dict[str, str]]:
-    """The settings beside those of this process, on a CPU: one thread, and loops as one function; none twice."""
+    """The settings beside those of this process, on a CPU, each by itself; none that it has.
+
+    `NPROC=1`: one thread. `in order`: kernels in an order that keeps memory small, of which few are ready at once for other
+    threads to take. `loop flag`: a loop as one function.
+    """
     flags, found = os.environ.get("XLA_FLAGS", ""), {}
     if jax.default_backend() != "cpu":
         return found
     if os.environ.get("NPROC") != ONE_THREAD["NPROC"]:
         found["NPROC=1"] = ONE_THREAD
-    if LOOP_FLAG not in flags:
-        found["loop flag"] = {"XLA_FLAGS": f"{flags} {LOOP_FLAG}".strip()}
+    for name, flag in FLAGS.items():
+        if flag not in flags:
+            found[name] = {"XLA_FLAGS": f"{flags} {flag}".strip()}
     return found
 
 
