@@ -184,6 +184,16 @@ def test_a_refusal_names_the_row_in_the_file(tmp_path):
         loaded(tmp_path, arrays)
 
 
+@pytest.mark.parametrize(
+    ("channel", "value", "said"), [("force", np.nan, "NaN or infinite"), ("pose", 0.0, "quaternion 0")]
+)
+def test_a_channel_without_one_number_is_refused(tmp_path, channel, value, said):
+    arrays = clean()
+    arrays[channel][:] = value
+    with pytest.raises(InputError, match=rf"a\.npz, {channel}: expected numbers, found none: .*{said}"):
+        loaded(tmp_path, arrays)
+
+
 def test_load_as_it_is_refuses_what_cleaning_repairs(tmp_path):
     arrays = clean()
     nan(arrays)

@@ -40,9 +40,8 @@ def correlated(
             wider = f"{np.sqrt(time):.1f} times as wide as for white noise"
             sentence += f": they count as so many times fewer, and intervals are {wider}"
         if time > _PART * length:
-            sentence += (
-                "; that is a good part of the recording, and intervals may be too narrow: free what drifts"
-            )
+            sentence += "; that is a good part of the recording: a sensor drifts or the model errs, and "
+            sentence += "intervals may be too narrow"
         done = "only reported" if key in given else "intervals widened"
         found.append(Finding("force" if key == "force" else "pose", "correlated residuals", sentence, done))
     return found

@@ -26,7 +26,8 @@ _SLOW = 0.2  # s: no recorder samples fingertips this seldom
 def cleaned(path: Path, content: Content) -> Content:
     """What a file holds, cleaned, with a finding for each thing that was noticed.
 
-    **Raises:** `hapjax.InputError` where the times go back so often, or jump so far ahead, that the clock is in doubt.
+    **Raises:** `hapjax.InputError` where a channel has no numbers, and where the times go back so often, or jump so far
+    ahead, that the clock is in doubt.
     """
     arrays, kept, findings = dict(content.arrays), {}, list(content.findings)
     for channel in CHANNELS:
@@ -46,6 +47,9 @@ def cleaned(path: Path, content: Content) -> Content:
                     f"{path}, {channel}, {content.place(channel, lost)}: expected times that increase; {problem}"
                 )
             rows = rows[keep]
+            if not len(rows):
+                said = ", and ".join(finding.sentence for finding in found)
+                raise InputError(f"{path}, {channel}: expected numbers, found none: {said}")
         keep, found = _together(channel, times[rows])
         if len(rows) - len(keep) > _MOST_LATE * len(rows):
             gaps = np.diff(times[rows])
