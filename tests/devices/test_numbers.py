@@ -63,13 +63,14 @@ def test_new_numbers_count_from_one_tick_on_and_none_is_lost(dtype):
     changed, ticks, events = with_numbers_given(name, lambda n: n.set({MU: 0.25, STIFFNESS: 400.0}), dtype)
     assert isinstance(changed, int) and changed > 0, changed
     np.testing.assert_array_equal(np.diff(ticks["tick"]), 1)
-    normal, along = ticks["force"][:, 0, 2], np.abs(ticks["force"][:, 0, 0])
+    along, _, normal = np.abs(ticks["memory"][:, :3]).T  # as the model answers, whatever the device is told
     before, after = ticks["tick"] < changed, ticks["tick"] >= changed
     after_it = np.flatnonzero(after)
     np.testing.assert_allclose(normal[before], 1.6, rtol=1e-5)
     np.testing.assert_allclose(normal[after_it[:-1]], 0.8, rtol=1e-5)
     assert along[after_it[20:]].max() == pytest.approx(0.25 * 0.8, rel=1e-4)
-    assert ["numbers"] == [event.kind for event in events if event.kind != "end"]
+    events = [event for event in events if event.kind in ("numbers", "refused")]
+    assert ["numbers"] == [event.kind for event in events]
     assert f"from tick {changed} on" in events[0].sentence and f"{MU} is 0.25" in events[0].sentence
 
 
@@ -91,7 +92,7 @@ def test_the_sender_refuses_what_no_scene_can_have():
     assert "-0.1" in said[0] and "0 or above" in said[0] and "nan" in said[1]
     assert "not live" in said[2] and STIFFNESS in said[2] and "(2,)" in said[3]
     assert {path: float(value) for path, value in now.items()} == {MU: 0.6, STIFFNESS: 800.0}
-    assert not [event for event in events if event.kind != "end"]
+    assert not [event for event in events if event.kind in ("numbers", "refused")]
     assert np.ptp(ticks["memory"][:, places], axis=0).max() == 0
 
 

@@ -84,7 +84,7 @@ def test_a_session_is_recorded_and_ends_when_asked(table, tmp_path, capsys):
     np.testing.assert_allclose(np.diff(recording.hip_t), 1 / 400)
     largest = np.linalg.norm(recording.force, axis=2).max(axis=0)
     assert [each["max"] for each in found["force"]] == pytest.approx(largest.tolist(), rel=1e-6)
-    assert [event["kind"] for event in found["events"]] == ["end"]
+    assert [event["kind"] for event in found["events"]].count("end") == 1
     with pytest.raises(ProcessLookupError):
         os.kill(servo[0], 0)
     assert f"{found['ticks']} ticks" in capsys.readouterr().out
@@ -107,9 +107,10 @@ def test_the_recorders_death_leaves_the_servo_going_and_the_servos_is_noticed(
     code = main(["run", str(table), "--name", name, "--device", "virtual", "--record", str(out)])
     thread.join()
     assert not failed and code == 1, failed
-    said = capfd.readouterr().err.splitlines()
-    assert ["recorder" in line or "SIGKILL" in line for line in said].count(True) == 2, said
-    assert f"{out}: the recorder has ended" in said[0] and "killed (SIGKILL) after tick" in said[1]
+    lines = capfd.readouterr().err.splitlines()  # others, of ticks that came too late, may be among them
+    said = [line for line in lines if "recorder" in line or "SIGKILL" in line]
+    assert len(said) == 2 and f"{out}: the recorder has ended" in said[0], lines
+    assert "killed (SIGKILL) after tick" in said[1]
     assert int(said[1].rsplit(" ", 1)[1]) > 200
 
 
