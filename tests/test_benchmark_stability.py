@@ -310,7 +310,8 @@ def test_a_recommendation_with_an_error_is_the_one_of_the_error_itself(tmp_path,
     hapjax.Recording(hip=hips, hip_t=np.arange(400) / 1000).save(tmp_path / "lift.npz")
     monkeypatch.setattr(maps, "measure", lambda *_: [])
     monkeypatch.setattr(touch, "touched", lambda scene: [])
-    monkeypatch.setattr(_sweep, "LONGEST", 2.0)
+    monkeypatch.setattr(_sweep, "LONGEST", 0.5)
+    monkeypatch.setattr(_sweep, "WITNESSES", ("lie_midpoint", "semi_implicit"))
     for module in (own, moved):
         monkeypatch.setattr(module, "SUBSTEPS", (1, 8))
     monkeypatch.setattr(own, "DTYPES", ("float64",))
