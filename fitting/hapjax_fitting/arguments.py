@@ -1,10 +1,10 @@
 """What a fit is asked for: refused, in one sentence, where it cannot be."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from typing import Any
 
-from hapjax import InputError
+from hapjax import InputError, Recording
 
 from .observation import CHANNELS
 from .problem import Problem
@@ -14,7 +14,10 @@ from .robust import LOSSES
 def check_recordings(
     scene: Any, recordings: Sequence[Any], names: Sequence[str], channels: tuple[str, ...]
 ) -> None:
-    """Refuse no recordings, other names than they have, and channels that there are not."""
+    """Refuse what is no recording, other names than they have, and channels that there are not."""
+    for name, recording in zip(names, recordings, strict=False):
+        if not isinstance(recording, Recording):
+            raise InputError(f"{name} is {recording!r}; allowed: a Recording, as load_recording gives")
     if not recordings:
         raise InputError("no recording is given; allowed: at least one")
     if len(names) != len(recordings):
@@ -40,6 +43,17 @@ def check_search(starts: Any, spread: Any, seed: Any, max_steps: Any, loss: Any)
         raise InputError(f"spread is {spread!r}; allowed: 1 to 1000000")
     if loss not in LOSSES:
         raise InputError(f"loss is {loss!r}; allowed: {', '.join(LOSSES)}")
+
+
+def check_names(free: Any, **given: Any) -> None:
+    """Refuse free numbers that are not named, and what should say something by name and does not."""
+    paths = free if isinstance(free, Iterable) else [free]
+    for path in [] if callable(free) else paths:
+        if not isinstance(path, str):
+            raise InputError(f"free names {path!r}; allowed: paths, such as object.cube.surface.mu")
+    for name, value in given.items():
+        if value is not None and not isinstance(value, Mapping):
+            raise InputError(f"{name} is {value!r}; allowed: a dict by names")
 
 
 def check_count(problem: Problem) -> None:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from hapjax import Recording, Scene, cast
 
 from . import robust
-from .arguments import check_count, check_recordings, check_search
+from .arguments import check_count, check_names, check_recordings, check_search
 from .correlated import correlated
 from .dropping import lost_at, lost_of, of_nothing, without
 from .findings import findings_of
@@ -96,6 +96,7 @@ def fit(
     names = [f"recording {i + 1}" for i in range(len(recordings))] if names is None else list(names)
     check_recordings(scene, recordings, names, channels)
     check_search(starts, spread, seed, max_steps, loss)
+    check_names(free, noise=noise, bounds=bounds, priors=priors)
     scene = cast(scene, jnp.result_type(float))
     sensors = explicit(sensors or Sensors(), paths_of(scene, free), scene.integrator.dt.dtype)
     scene = made_explicit(scene, paths_of(scene, free))
