@@ -108,11 +108,12 @@ def test_there_is_no_window_of_what_is_too_short_torn_or_never_let_go():
 
 def test_what_only_the_sensor_feels_is_a_touch_too():
     window, hip = Window(1.0, RATE, 0.2), rubbing(2.0)
-    for i in range(0, len(hip), CHUNK):
-        ticks = ticks_of(hip[i : i + CHUNK], i, 0.0)
-        felt = np.full((len(ticks), 1, 3), 0.3)
-        window.add(ticks, Measured(felt, np.zeros((len(ticks), 0, 7))))
-    assert window.cut() is None
+    ticks = ticks_of(hip, force=np.where(np.arange(2000) < 1700, 0.0, 1.0))
+    felt = np.where(np.arange(2000) < 300, 0.0, 0.3)[:, None, None] * np.array([0.0, 0.0, 1.0])
+    window.add(ticks, Measured(felt, np.zeros((len(ticks), 0, 7))))
+    recording = window.cut()
+    assert recording is not None and recording.hip_t is not None
+    assert recording.hip_t[0] == 0.299
 
 
 def test_a_window_has_poses_at_the_ends_of_their_steps():

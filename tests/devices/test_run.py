@@ -162,6 +162,19 @@ def test_what_is_estimated_is_handed_over_when_asked_and_no_tick_is_lost(table, 
         assert along.max() == pytest.approx(held * normal.max(), abs=5e-3)
 
 
+def test_asked_to_end_before_it_begins_it_ends(table, tmp_path, monkeypatch, capfd):
+    real, record = supervisor.ServoProcess, tmp_path / "a.mcap"
+
+    def start(session):
+        os.kill(os.getpid(), signal.SIGTERM)
+        return real(session)
+
+    monkeypatch.setattr(supervisor, "ServoProcess", start)
+    name = f"early-{os.getpid()}"
+    assert main(["run", str(table), "--name", name, "--device", "virtual", "--record", str(record)]) == 0
+    assert capfd.readouterr() == ("", "") and not record.exists()
+
+
 def test_a_device_that_is_not_there_ends_it_with_a_sentence(table, tmp_path, capfd):
     file = tmp_path / "devices.toml"
     file.write_text("[[device]]\ntype = 'inverse3'\nurl = 'ws://127.0.0.1:9'\n")
