@@ -130,7 +130,7 @@ def _described(choice: Choice) -> str:
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     """A table for the terminal."""
-    made = Table(*(Column(name) for name in header), title=title)
+    made = Table(*(Column(name, no_wrap=name == "integrator") for name in header), title=title)
     for row in rows:
         made.add_row(*row)
     return made
