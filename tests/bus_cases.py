@@ -8,7 +8,7 @@ import time
 import numpy as np
 
 from hapjax_devices import About, TickPublisher
-from hapjax_devices.fingers import Fingers
+from hapjax_devices.bus.publisher import COUNTED
 from hapjax_devices.realtime import MonotonicClock, Pacer
 
 
@@ -35,13 +35,6 @@ def about(name, rate=400.0, fingers=2, memory=11) -> About:
     )
 
 
-def state(down=(), faults=()) -> Fingers:
-    """Fingers of which the devices of some are down."""
-    made = Fingers([], 400.0)
-    made._down, made.faults = dict.fromkeys(down, 0), list(faults)
-    return made
-
-
 def numbers(tick, fingers=2, memory=11):
     """What the fingers of a tick have, all different: hip, gimbal, force, memory."""
     hip = (tick + np.arange(3 * fingers) / 7).reshape(fingers, 3).astype(np.float32)
@@ -50,14 +43,14 @@ def numbers(tick, fingers=2, memory=11):
     return hip, tick + np.arange(fingers) / 8, -hip.astype(float) / 3, held
 
 
-FINE = state()
+NONE = (0,) * len(COUNTED)
 
 
-def publish(publisher, ticks, fingers=FINE, counts=(0, 0, 0, 0), begin=None):
+def publish(publisher, ticks, down=0, counts=NONE, begin=None):
     """Ticks 2.5 ms apart, as fast as it can."""
     begin = time.perf_counter_ns() if begin is None else begin
     for tick in ticks:
-        publisher.publish(tick, begin + tick * 2_500_000, 1.5, 20.25, counts, fingers, *numbers(tick))
+        publisher.publish(tick, begin + tick * 2_500_000, 1.5, 20.25, counts, down, *numbers(tick))
 
 
 def main(name: str, rate: float, fingers: int) -> None:
@@ -68,8 +61,8 @@ def main(name: str, rate: float, fingers: int) -> None:
         pacer = Pacer(round(1e9 / rate), MonotonicClock())
         for tick in range(10**9):
             late = pacer.wait() * 1e-3
-            now, counts = time.perf_counter_ns(), (pacer.missed, 0, 0, 0)
-            publisher.publish(tick, now, late, 0.0, counts, FINE, *prepared[tick % 1000])
+            now, counts = time.perf_counter_ns(), (pacer.missed, *NONE[1:])
+            publisher.publish(tick, now, late, 0.0, counts, 0, *prepared[tick % 1000])
 
 
 if __name__ == "__main__":

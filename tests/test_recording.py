@@ -11,7 +11,7 @@ from hypothesis import given
 
 from hapjax import InputError, Recording
 
-CHANNELS = ("hip", "force", "gimbal", "pose")
+CHANNELS = ("hip", "force", "gimbal", "pose", "model_force")
 
 
 def unit_quaternions(rng, *shape):
@@ -32,6 +32,7 @@ def assert_same(one, other):
 def arrays_of_recordings(draw):
     fingers, objects = draw(st.integers(1, 3)), draw(st.integers(1, 2))
     shapes = {"hip": (fingers, 3), "force": (fingers, 3), "gimbal": (fingers,), "pose": (objects, 7)}
+    shapes["model_force"] = shapes["force"]
     measured = draw(st.sets(st.sampled_from(CHANNELS), min_size=1))
     finite = st.floats(allow_nan=False, allow_infinity=False)
     arrays = {}

@@ -4,7 +4,6 @@ from .attached import Attached as Attached
 from .attached import attached as attached
 from .bus import About as About
 from .bus import Broadcast as Broadcast
-from .bus import Event as Event
 from .bus import Numbers as Numbers
 from .bus import TickPublisher as TickPublisher
 from .bus import TickReader as TickReader
@@ -16,6 +15,7 @@ from .device import GimbalDevice as GimbalDevice
 from .device import RecoverableDevice as RecoverableDevice
 from .doctor import Check as Check
 from .doctor import examine as examine
+from .event import Event as Event
 from .falcon import Falcon as Falcon
 from .falcon import attached_falcons as attached_falcons
 from .fingers import DeviceFault as DeviceFault
@@ -30,7 +30,9 @@ from .placement import Placement as Placement
 from .recorder import RecorderProcess as RecorderProcess
 from .recorder import record as record
 from .reflex import Reflex as Reflex
-from .safety import ForceGuard as ForceGuard
+from .safety import Counts as Counts
+from .safety import Limits as Limits
+from .safety import Safety as Safety
 from .sensor import ForceSensor as ForceSensor
 from .sensor import PoseTracker as PoseTracker
 from .servo import ServoResult as ServoResult

@@ -1,18 +1,20 @@
 """The devices of a servo loop, of which one that fails does not stop the others."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Shaped
 
 from .device import Device, DeviceError, RecoverableDevice
+from .event import Diary
+from .safety import Safety
 
 RECOVERY = (
     0.01  # s between two steps of a device on its way back: each may hold the loop up by a millisecond or two
 )
-RAMP = 0.5  # s, in which the force comes up after a fault: the finger may be back deep inside an object
 
 
 class DeviceFault(NamedTuple):
@@ -29,21 +31,34 @@ class Fingers:
     """Reads and writes the devices of a loop, one a finger.
 
     While a `RecoverableDevice` has a fault, its finger stays where it was and gets no force; the device is asked to
-    come back every 10 ms, and its force then rises over half a second. A fault of any other device ends the loop.
+    come back every 10 ms. A fault of any other device ends the loop.
 
-    **Arguments:** `devices`, open; `rate` of the loop, Hz.
+    Entered, it opens the devices, and closes them all at the end, the others also where one fails.
+
+    **Arguments:** `devices`; `rate` of the loop, Hz; `safety`, through which each force goes right before it is
+    written; `diary`, for what happens.
 
     **Attributes:** `faults`, all so far.
     """
 
-    def __init__(self, devices: Sequence[Device], rate: float):
-        self._devices = devices
+    def __init__(self, devices: Sequence[Device], rate: float, safety: Safety, diary: Diary):
+        self._devices, self._safety, self._diary = devices, safety, diary
         self._recoverable = [device if isinstance(device, RecoverableDevice) else None for device in devices]
-        self._every, self._ramp = max(1, round(RECOVERY * rate)), max(1, round(RAMP * rate))
+        self._every = max(1, round(RECOVERY * rate))
         self._down: dict[int, int] = {}  # the place in `faults` of each finger whose device is down
-        self._ramped: dict[int, int] = {}  # since when the force of a finger rises
-        self._tick = 0
+        self._tick = -1
         self.faults: list[DeviceFault] = []
+
+    def __enter__(self) -> "Fingers":
+        with ExitStack() as stack:
+            for finger, device in enumerate(self._devices):
+                device.open()
+                stack.callback(self._stop, finger, device.close)
+            self._opened = stack.pop_all()
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self._opened.__exit__(*exception)
 
     @property
     def down(self) -> int:
@@ -59,41 +74,52 @@ class Fingers:
             try:
                 hip[finger] = device.read()
             except DeviceError as error:
-                self._failed(tick, finger, error)
+                self._failed(finger, error)
 
-    def write(self, tick: int, force: Float[np.ndarray, "F 3"], output: Float[np.ndarray, "F 3"]) -> None:
-        """Push with `force`, N; what is put out goes into `output`, N."""
+    def write(self, tick: int, force: Shaped[np.ndarray, "F 3"], output: Float[np.ndarray, "F 3"]) -> None:
+        """Push with `force`, N, as far as that is safe; what is put out goes into `output`, N."""
+        wanted = force.tolist()
         for finger, device in enumerate(self._devices):
             if finger in self._down:
                 output[finger] = 0
                 continue
             try:
-                output[finger] = device.write(self._risen(tick, finger) * force[finger])
+                output[finger] = device.write(self._safety(tick, finger, wanted[finger]))
             except DeviceError as error:
                 output[finger] = 0
-                self._failed(tick, finger, error)
+                self._failed(finger, error)
 
     @contextmanager
     def let_go(self) -> Iterator[None]:
         """Write no force to every device at the end of the block, to the others also where one fails."""
         with ExitStack() as stack:
             for finger in range(len(self._devices)):
-                stack.callback(self._release, finger)
+                stack.callback(self._stop, finger, partial(self._quiet, finger))
             yield
 
-    def _release(self, finger: int) -> None:
-        if finger in self._down:
-            return
-        try:
+    def _quiet(self, finger: int) -> None:
+        # One that ended the loop may take this still; one that is recoverable has done it by itself.
+        if finger not in self._down or self._recoverable[finger] is None:
             self._devices[finger].write(np.zeros(3))
-        except DeviceError as error:
-            self._failed(self._tick, finger, error)
 
-    def _failed(self, tick: int, finger: int, error: DeviceError) -> None:
+    def _stop(self, finger: int, how: Callable[[], object]) -> None:
+        """Do what stops a device. One that fails now is noted, but the loop is over: what it has done is not lost for it."""
+        try:
+            how()
+        except DeviceError as error:
+            if finger not in self._down:
+                self._note(finger, error)
+
+    def _failed(self, finger: int, error: DeviceError) -> None:
+        self._safety.cut(finger)
+        self._note(finger, error)
         if self._recoverable[finger] is None:
             raise error
+
+    def _note(self, finger: int, error: DeviceError) -> None:
         self._down[finger] = len(self.faults)
-        self.faults.append(DeviceFault(tick, finger, str(error)))
+        self.faults.append(DeviceFault(self._tick, finger, str(error)))
+        self._diary.say("fault", str(error), finger)
 
     def _is_back(self, tick: int, finger: int) -> bool:
         at, device = self._down[finger], self._recoverable[finger]
@@ -102,14 +128,5 @@ class Fingers:
             return False
         self.faults[at] = self.faults[at]._replace(back=tick)
         del self._down[finger]
-        self._ramped[finger] = tick
+        self._diary.say("back", f"the device of finger {finger} is back; its force rises", finger)
         return True
-
-    def _risen(self, tick: int, finger: int) -> float:
-        """How much of its force a finger gets, 0 to 1."""
-        if finger not in self._ramped:
-            return 1.0
-        part = (tick - self._ramped[finger]) / self._ramp
-        if part >= 1:
-            del self._ramped[finger]
-        return min(1.0, part)

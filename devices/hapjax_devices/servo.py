@@ -16,10 +16,12 @@ from hapjax.recording import Recording
 
 from .bus import About, Broadcast, Inbox, TickPublisher
 from .device import Device, DeviceError, GimbalDevice
+from .ending import Ending
+from .event import Diary, Event
 from .fingers import DeviceFault, Fingers
 from .passivity import Passivity, PassivityControl
 from .realtime import MonotonicClock, Pacer, uncollected, undisturbed
-from .safety import ForceGuard
+from .safety import Counts, Limits, Safety
 from .sensor import ForceSensor, PoseTracker
 
 LAST = 1.0  # s of a run without an end that its result has
@@ -31,24 +33,36 @@ class ServoResult:
     """What a run of the servo loop leaves behind.
 
     `recording`; for each tick how late it began, `lateness_us`, and how long it worked, `compute_us` (T,) us;
-    `missed` deadlines; how many force commands were `not_finite` or `limited`; `refused`, a sentence for each
+    `missed` deadlines; `safety`, how many force commands of each device were changed; `refused`, a sentence for each
     privilege that the system did not grant; `passivity`, what its control saw and did, `None` where it was off; `lost`,
     at how many ticks the scene left the range of sense, and no force was put out; the `faults` of devices that came
-    back, or might have; how many ticks the bus did not take, `unsent`. Of a run without an end the recording and the times
-    are those of its last second.
+    back, or might have, or failed when they were let go; how many ticks the bus did not take, `unsent`; `overrun`, how
+    many ticks came far too late; `events`, all that happened, in words. Of a run without an end the recording and the
+    times are those of its last second.
     """
 
     recording: Recording
     lateness_us: Float[np.ndarray, "T"]
     compute_us: Float[np.ndarray, "T"]
     missed: int
-    not_finite: int
-    limited: int
+    safety: tuple[Counts, ...]
     refused: tuple[str, ...]
     passivity: PassivityControl | None = None
     lost: int = 0
     faults: tuple[DeviceFault, ...] = ()
     unsent: int = 0
+    overrun: int = 0
+    events: tuple[Event, ...] = ()
+
+    @property
+    def not_finite(self) -> int:
+        """How many forces of all devices were not finite."""
+        return sum(counts.not_finite for counts in self.safety)
+
+    @property
+    def limited(self) -> int:
+        """How many forces were over their device's limit."""
+        return sum(counts.limited for counts in self.safety)
 
     def summary(self) -> dict[str, dict[str, float] | int]:
         """p50, p99, p99.9 and max of lateness and of compute time in us; ticks done and ticks missed."""
@@ -74,13 +88,15 @@ def run(
     broadcast: Broadcast | None = None,
     stopped: Callable[[], bool] | None = None,
     live: Sequence[str] = (),
+    limits: Limits | Sequence[Limits] = Limits(),  # noqa: B008
+    overrun: int = 20,
 ) -> ServoResult:
     """Let the fingers on `devices` feel a scene for `duration` seconds, and record it.
 
-    The recording's clock is the servo clock: tick n is at n / rate. `hip` is exactly what the step got. The
-    forces of tick n push until tick n + 1 and are measured at tick n; its poses are those that the step
-    ends with, and are measured at tick n + 1. The forces are off again when the loop ends, in whatever way
-    it does.
+    The recording's clock is the servo clock: tick n is at n / rate. `hip` is exactly what the step got, and
+    `model_force` exactly what it answered: through `hapjax.rollout` the one gives the other, to the last bit. The forces
+    of tick n push until tick n + 1 and are measured at tick n; its poses are those that the step ends with, and are
+    measured at tick n + 1. The forces are off again when the loop ends, in whatever way it does.
 
     **Arguments:**
 
@@ -95,17 +111,22 @@ def run(
     - `stopped`: is asked after each tick whether that was the last.
     - `live`: paths of numbers of the scene, such as `object.cube.surface.mu`, that other processes may change while the loop
         goes on; see `Numbers`. They need a `broadcast`.
+    - `limits`: what the devices may be told to do, of all of them or of each; see `Limits` and `Safety`.
+    - `overrun`: after more deadlines missed at once than this, 0 or above, no force is put out, and the fingers are let in
+        anew.
 
     A scene whose torsion is a gimbal needs devices that are each a `GimbalDevice`; the recording then has the channel
     `gimbal`, exactly what the step got.
 
-    While a `RecoverableDevice` has a fault, its finger stays where it was and gets no force, and the others go on; its
-    force rises over 0.5 s once it is back.
+    While a `RecoverableDevice` has a fault, its finger stays where it was and gets no force, and the others go on; once it
+    is back it is let in. Signals that end the process end the loop first: see `Ending`.
 
     **Raises:** `InputError` for arguments out of range; `DeviceError` from a device that is not a `RecoverableDevice`, or
     that does not even open, and where one reads NaN.
     """
     ticks = _ticks(duration, rate)
+    if not isinstance(overrun, int) or isinstance(overrun, bool) or overrun < 0:
+        raise InputError(f"overrun is {overrun!r}; allowed: 0 ticks or more")
     if live and broadcast is None:
         raise InputError(f"live is {', '.join(live)} without a broadcast; allowed: with one")
     turned = scene.torsion is not None and scene.torsion.needs_gimbal
@@ -119,46 +140,50 @@ def run(
         raise InputError(
             "pose_tracker is given, but no object of the scene has a body; allowed: no pose_tracker"
         )
+    diary = Diary(rate)
+    safety = Safety([device.force_limit for device in devices], rate, limits, diary)
+    fingers = Fingers(devices, rate, safety, diary)
     with ExitStack() as stack:
-        for device in devices:
-            stack.enter_context(device)
+        ending, last = stack.enter_context(Ending()), stack.enter_context(ExitStack())
+        stack.enter_context(fingers)
         hip = np.stack([device.read() for device in devices])
         gimbals = [device for device in devices if isinstance(device, GimbalDevice)] if turned else []
         angles = [np.array([device.read_gimbal() for device in gimbals])] if turned else []
         packed = hapjax.pack(scene, hip, 1 / rate, *angles, live=live)
         log = _Log(ticks, rate, packed, force_sensor, pose_tracker, turned)
-        guard = ForceGuard(np.array([device.force_limit for device in devices]))
         control = None if passivity is None else PassivityControl(passivity, 1 / rate, hip)
         bus = inbox = None
         if broadcast is not None:
             places = _pose_places(packed).tolist() if scene.moving() else []
             about = About.of(broadcast.run, rate, scene, packed, places, devices, len(gimbals))
-            bus = stack.enter_context(TickPublisher(about))
+            bus = last.enter_context(TickPublisher(about))
+            last.callback(_tell_all, diary, bus)
             inbox = stack.enter_context(Inbox(about, scene, bus)) if live else None
             bus.wait_for(broadcast.readers, broadcast.patience)
         for _ in range(WARM_UP):
             packed.force(packed.call(packed.start, *(x.astype(packed.dtype) for x in (hip, *angles))))
         stack.enter_context(uncollected())
         refused = stack.enter_context(undisturbed() if realtime else nullcontext([]))
-        fingers = Fingers(devices, rate)
         stack.enter_context(fingers.let_go())
-        pacer = Pacer(round(1e9 / rate), MonotonicClock()) if realtime else None
-        _loop(packed, fingers, hip, gimbals, guard, control, log, pacer, bus, inbox, stopped)
-    missed = 0 if pacer is None else pacer.missed
+        check = stack.enter_context(ending.between())
+        watch = _Watch(rate if realtime else None, overrun, safety, diary, check)
+        _loop(packed, fingers, hip, gimbals, watch, control, log, bus, inbox, stopped)
+    diary.end()
     recording = log.recording()
     lateness_us, compute_us = log.times()
     return ServoResult(
         recording,
         lateness_us,
         compute_us,
-        missed,
-        guard.not_finite,
-        guard.limited,
+        watch.missed,
+        tuple(safety.counts),
         tuple(refused),
         control,
-        log.lost,
+        watch.lost,
         tuple(fingers.faults),
         0 if bus is None else bus.unsent,
+        watch.overrun,
+        tuple(diary.events),
     )
 
 
@@ -167,49 +192,118 @@ def _loop(
     fingers: Fingers,
     first: Float[np.ndarray, "F 3"],
     gimbals,
-    guard: ForceGuard,
+    watch: "_Watch",
     control: PassivityControl | None,
     log: "_Log",
-    pacer: Pacer | None,
     bus: TickPublisher | None,
     inbox: Inbox | None,
     stopped: Callable[[], bool] | None,
 ) -> None:
-    memory, hip = packed.start, first.astype(packed.dtype)
+    hip = first.astype(packed.dtype)
     angle = np.empty(len(gimbals), packed.dtype)
     inputs = (hip, angle) if gimbals else (hip,)
-    output = np.empty((packed.fingers, 3))
+    output = np.zeros((packed.fingers, 3))
+    # Compiling has taken seconds: where the fingers are now is where they begin.
+    _read(0, fingers, gimbals, hip, angle)
+    memory = packed.begin(*inputs)
+    if control is not None:
+        control(output, hip)
+    watch.start()
     for tick in count() if log.ticks is None else range(log.ticks):
-        late = 0 if pacer is None else pacer.wait()
-        began = time.perf_counter_ns()
-        fingers.read(tick, hip)
-        for finger, device in enumerate(gimbals):
-            angle[finger] = device.read_gimbal()
-        if not np.isfinite(hip).all():
-            raise DeviceError(f"tick {tick}: the devices read {hip.tolist()} m; a position must be finite")
-        if not np.isfinite(angle).all():
-            raise DeviceError(f"tick {tick}: the gimbals read {angle.tolist()} rad; an angle must be finite")
+        late, began = watch.wait(tick)
+        if tick:
+            _read(tick, fingers, gimbals, hip, angle)
         if inbox is not None:
             memory = inbox.put(tick, memory)
         memory = packed.call(memory, *inputs)
         lost = packed.is_lost(memory)
-        log.lost += lost
-        force = guard(packed.force(memory))
+        watch.lost += lost
+        wanted = force = packed.force(memory)
         if control is not None:
-            damped = control(force, hip)
-            force = force if lost else guard(damped)
-        fingers.write(tick, force, output)
+            damped = control(watch.safety.within(force), hip)
+            wanted = force if lost else damped
+        fingers.write(tick, wanted, output)
         if control is not None:
             control.put_out(output)
-        log.add(tick, hip, angle, output, memory)
+        log.add(tick, hip, angle, force, output, memory)
+        if lost:
+            watch.diary.count("lost")
         if bus is not None:
             worked = (time.perf_counter_ns() - began) * 1e-3
-            missed = 0 if pacer is None else pacer.missed
-            counts = (missed, guard.not_finite, guard.limited, log.lost)
-            bus.publish(tick, began, late * 1e-3, worked, counts, fingers, hip, angle, output, memory)
+            bus.publish(
+                tick, began, late * 1e-3, worked, watch.counts(), fingers.down, hip, angle, output, memory
+            )
+            watch.diary.tell(bus.tell)
         log.time(tick, late * 1e-3, (time.perf_counter_ns() - began) * 1e-3)
         if stopped is not None and stopped():
             break
+
+
+def _read(tick: int, fingers: Fingers, gimbals, hip, angle) -> None:
+    """Put what the devices read into `hip`, m, and `angle`, rad. **Raises:** `DeviceError` for what is not finite."""
+    fingers.read(tick, hip)
+    for finger, device in enumerate(gimbals):
+        angle[finger] = device.read_gimbal()
+    if not np.isfinite(hip).all():
+        raise DeviceError(f"tick {tick}: the devices read {hip.tolist()} m; a position must be finite")
+    if not np.isfinite(angle).all():
+        raise DeviceError(f"tick {tick}: the gimbals read {angle.tolist()} rad; an angle must be finite")
+
+
+class _Watch:
+    """Waits for each tick, and sees to it that what goes wrong is counted and answered.
+
+    **Arguments:** `rate` in Hz, `None`: nothing is waited for; `most` deadlines that may be missed at once; `safety`;
+    `diary`; `check`, which ends the loop where it has to.
+
+    **Attributes:** `overrun`, `lost`: at how many ticks so far.
+    """
+
+    def __init__(
+        self, rate: float | None, most: int, safety: Safety, diary: Diary, check: Callable[[], None]
+    ):
+        self._rate, self._most, self._check = rate, most, check
+        self._pacer: Pacer | None = None
+        self.safety, self.diary = safety, diary
+        self.overrun = self.lost = 0
+
+    def start(self) -> None:
+        """The first deadline is one period from now."""
+        if self._rate is not None:
+            self._pacer = Pacer(round(1e9 / self._rate), MonotonicClock())
+
+    @property
+    def missed(self) -> int:
+        """How many deadlines were missed so far."""
+        return 0 if self._pacer is None else self._pacer.missed
+
+    def wait(self, tick: int) -> tuple[int, int]:
+        """Wait for a tick; how late it begins, ns, and when."""
+        self._check()
+        if self._pacer is None:
+            began = time.perf_counter_ns()
+            self.diary.turn(tick, began)
+            return 0, began
+        before = self._pacer.missed
+        late, began = self._pacer.wait(), time.perf_counter_ns()
+        self.diary.turn(tick, began)
+        if missed := self._pacer.missed - before:
+            self.diary.count("missed", by=missed)
+        if missed > self._most:
+            self.overrun += 1
+            self.safety.cut_all()
+            self.diary.count("overrun")
+        return late, began
+
+    def counts(self) -> tuple[int, ...]:
+        """All that is counted so far, as the bus has it."""
+        of = self.safety.total
+        return self.missed, of.not_finite, of.limited, self.lost, of.slewed, of.ramped, self.overrun
+
+
+def _tell_all(diary: Diary, bus: TickPublisher) -> None:
+    diary.end()
+    diary.tell(bus.tell)
 
 
 class _Log:
@@ -219,10 +313,9 @@ class _Log:
         self._rate, self.ticks, self._done = rate, ticks, 0
         self._force_sensor, self._pose_tracker = force_sensor, pose_tracker
         kept = max(1, round(LAST * rate)) if ticks is None else ticks
-        self.hip = np.zeros((kept, packed.fingers, 3))
+        self.hip, self._model = np.zeros((2, kept, packed.fingers, 3))
         self.gimbal = np.zeros((kept, packed.fingers)) if turned else None
         self._times = np.zeros((2, kept))
-        self.lost = 0
         if force_sensor is not None:
             self._force_every = _every("force_sensor", force_sensor.rate, rate)
             self._force = np.zeros((-(-kept // self._force_every), packed.fingers, 3))
@@ -231,10 +324,10 @@ class _Log:
             self._pose_at = _pose_places(packed)
             self._pose = np.zeros((kept // self._pose_every, *self._pose_at.shape))
 
-    def add(self, tick: int, hip, angle, output, memory) -> None:
-        """Note what a tick got, put out and moved."""
+    def add(self, tick: int, hip, angle, force, output, memory) -> None:
+        """Note what a tick got, answered, put out and moved."""
         row = tick % len(self.hip)
-        self.hip[row] = hip
+        self.hip[row], self._model[row] = hip, force
         if self.gimbal is not None:
             self.gimbal[row] = angle
         if self._force_sensor is not None and tick % self._force_every == 0:
@@ -256,6 +349,10 @@ class _Log:
         """What was logged."""
         ticks, hip = _kept(self.hip, self._done)
         channels = {"hip": hip, "hip_t": ticks / self._rate}
+        model = _kept(self._model, self._done)[1]
+        fit = np.isfinite(model).all(axis=(1, 2))  # a recording has no place for others; they are counted
+        if fit.any():
+            channels |= {"model_force": model[fit], "model_force_t": channels["hip_t"][fit]}
         if self.gimbal is not None:
             channels |= {"gimbal": _kept(self.gimbal, self._done)[1], "gimbal_t": channels["hip_t"]}
         if self._force_sensor is not None:

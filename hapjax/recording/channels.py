@@ -26,6 +26,7 @@ CHANNELS = {
     "force": Channel("fingers", ("x", "y", "z")),
     "gimbal": Channel("fingers", ()),
     "pose": Channel("objects", ("x", "y", "z", "qw", "qx", "qy", "qz")),
+    "model_force": Channel("fingers", ("x", "y", "z")),
 }
 ARRAYS = tuple(name + suffix for name in CHANNELS for suffix in ("", "_t"))
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError
 from .channels import CHANNELS
 
-_COLUMN = re.compile(r"(hip|force|gimbal|pose)(\d{0,6})(_\w+)?")
+_COLUMN = re.compile(rf"({'|'.join(CHANNELS)})(\d{{0,6}})(_\w+)?")
 
 
 def layout(where: str, header: list[str]) -> dict[str, list[int]]:

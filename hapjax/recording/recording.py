@@ -30,6 +30,8 @@ class Recording:
 
     - `hip`: (T, F, 3) m, haptic interface points (fingertips); `hip_t`: (T,) s.
     - `force`: (T, F, 3) N, the force on the finger; `force_t`: (T,) s.
+    - `model_force`: (T, F, 3) N, what the scene answered in the servo loop, before a device put it out;
+      `model_force_t`: (T,) s. It is no measurement, and no fit looks at it.
     - `gimbal`: (T, F) rad, angle of the finger's instrumented gimbal; `gimbal_t`: (T,) s.
     - `pose`: (T, O, 7), x y z in m and the unit quaternion qw qx qy qz of each moving object in the scene's
       order, or (T, 7) for one object; `pose_t`: (T,) s. Quaternions are normalised.
@@ -44,6 +46,8 @@ class Recording:
     hip_t: np.ndarray | None = None
     force: np.ndarray | None = None
     force_t: np.ndarray | None = None
+    model_force: np.ndarray | None = None
+    model_force_t: np.ndarray | None = None
     gimbal: np.ndarray | None = None
     gimbal_t: np.ndarray | None = None
     pose: np.ndarray | None = None
@@ -70,7 +74,9 @@ class Recording:
     @property
     def fingers(self) -> int:
         """How many fingers were recorded; 0 where only objects were."""
-        return next((x.shape[1] for x in (self.hip, self.force, self.gimbal) if x is not None), 0)
+        return next(
+            (x.shape[1] for x in (self.hip, self.force, self.model_force, self.gimbal) if x is not None), 0
+        )
 
     def check_pauses(self) -> None:
         """Refuse a path whose pauses, which a model would have to go through, are far longer than what was recorded.

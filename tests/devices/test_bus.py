@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import hapjax
-from bus_cases import about, numbers, publish, state
+from bus_cases import about, numbers, publish
 from hapjax import InputError
 from hapjax_devices import (
     About,
     Broadcast,
-    DeviceFault,
+    Event,
     TickPublisher,
     TickReader,
     VirtualDevice,
@@ -41,7 +41,7 @@ def reader(publisher, **options):
 def test_ticks_arrive_whole_and_in_order(publisher):
     with reader(publisher) as listening:
         publish(publisher, range(3))
-        publish(publisher, range(3, 5), state([1]), (1, 2, 3, 4))
+        publish(publisher, range(3, 5), 2, (1, 2, 3, 4, 5, 6, 7))
         ticks = listening.take()
         assert ticks["tick"].tolist() == [0, 1, 2, 3, 4] and np.all(np.diff(ticks["time_ns"]) > 0)
         for tick in range(5):
@@ -51,7 +51,8 @@ def test_ticks_arrive_whole_and_in_order(publisher):
             np.testing.assert_array_equal(ticks["force"][tick], force)
             np.testing.assert_array_equal(ticks["memory"][tick, :11], memory.astype(np.float32))
         last = ticks[-1]
-        assert [last[n] for n in ("missed", "not_finite", "limited", "lost", "down")] == [1, 2, 3, 4, 2]
+        counted = ("missed", "not_finite", "limited", "lost", "slewed", "ramped", "overrun", "down")
+        assert [last[n] for n in counted] == [1, 2, 3, 4, 5, 6, 7, 2]
         assert (last["lateness_us"], last["compute_us"]) == (1.5, 20.25)
         assert (len(listening.take()), listening.lost, publisher.unsent) == (0, 0, 0)
         said = About.from_json(listening.about.to_json())
@@ -115,24 +116,14 @@ def test_runs_do_not_mix():
         Broadcast("a", readers=7)
 
 
-def test_faults_are_told_once(publisher):
+def test_what_happens_is_told(publisher):
     with reader(publisher) as listening:
-        broken = DeviceFault(1, 1, "the cable is out")
-        publish(publisher, range(2))
-        for ticks, down, faults in (
-            (range(2, 5), [1], [broken]),
-            (range(5, 7), [], [broken._replace(back=5)]),
-            (range(7, 8), [], [broken._replace(back=5), DeviceFault(7, 0, "short packets", 7)]),
-        ):
-            publish(publisher, ticks, state(down, faults))
-        found = [(e.kind, e.tick, e.finger, e.sentence) for e in listening.events()]
-        back = "the device of finger {} is back; its force rises"
-        assert found == [
-            ("fault", 2, 1, "the cable is out"),
-            ("back", 5, 1, back.format(1)),
-            ("fault", 7, 0, "short packets"),
-            ("back", 7, 0, back.format(0)),
-        ]
+        told = Event(7, 12345, 1, "not_finite", "a force that is none")
+        publisher.tell(told)
+        publish(publisher, range(3))
+        publisher.event("numbers", "x" * 1000)
+        first, second = listening.events()
+        assert first == told and (second.tick, second.finger, second.sentence) == (2, -1, "x" * 480)
 
 
 def test_a_servo_puts_on_the_bus_what_it_records():

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hapjax_devices import DeviceError
+from hapjax_devices import DeviceError, Limits, Safety
+from hapjax_devices.event import Diary
 from hapjax_devices.fingers import Fingers
 
 PUSH = np.array([[1.0, 0.0, -2.0], [0.0, 3.0, 0.0]])
@@ -22,7 +23,8 @@ class Plain:
         if self.calls in self.fails:
             raise DeviceError("the cable is out")
 
-    def open(self): ...
+    def open(self):
+        self.is_open = True
 
     def read(self):
         self._call()
@@ -33,7 +35,8 @@ class Plain:
         self.written.append(np.array(force))
         return force
 
-    def close(self): ...
+    def close(self):
+        self.is_open = False
 
     def __enter__(self):
         return self
@@ -53,9 +56,18 @@ class Recoverable(Plain):
         return len(self.asked) >= self.patience
 
 
+def fingers_on(devices, rate=1000.0, ramp=0.5) -> tuple[Fingers, Diary]:
+    """Fingers that are in already, and what happens to them."""
+    diary, count = Diary(rate), len(devices)
+    safety = Safety([8.0] * count, rate, Limits(ramp=ramp), diary)
+    for finger in range(count):
+        safety(-1, finger, (0.0, 0.0, 0.0))
+    return Fingers(devices, rate, safety, diary), diary
+
+
 def loop(first, ticks, rate=1000.0):
     """Where the fingers were and what was put out, tick by tick, with `first` beside one that never fails."""
-    fingers, other = Fingers([first, Plain()], rate), []
+    fingers, other = fingers_on([first, Plain()], rate)[0], []
     hip, output, hips = np.zeros((2, 3)), np.zeros((2, 3)), []
     for tick in range(ticks):
         fingers.read(tick, hip)
@@ -98,14 +110,61 @@ def test_one_that_cannot_come_back_ends_the_loop():
         loop(Plain(fails=[5]), 10)
 
 
+def test_faults_are_told_with_their_finger():
+    device = Recoverable(fails=[3, 4], patience=1)
+    fingers, diary = fingers_on([Plain(), device])
+    hip, output = np.zeros((2, 3)), np.zeros((2, 3))
+    for tick in range(25):
+        diary.turn(tick, tick)
+        fingers.read(tick, hip)
+        fingers.write(tick, PUSH, output)
+    back = "the device of finger 1 is back; its force rises"
+    told = [(event.kind, event.tick, event.sentence) for event in diary.events if event.finger == 1]
+    assert told[:5] == [
+        ("fault", 1, "the cable is out"),
+        ("back", 11, back),
+        ("fault", 11, "the cable is out"),
+        ("back", 21, back),
+        ("ramped", 21, "forces of a finger that is let in again, rising: begins at tick 21"),
+    ]
+    assert all(event.finger == 1 for event in diary.events)
+
+
 def test_all_are_let_go_though_one_fails():
     failing, down, fine = Recoverable(fails=[1]), Recoverable(fails=[1]), Plain()
-    fingers = Fingers([failing, down, fine], 1000.0)
-    with fingers.let_go():
+    fingers, diary = fingers_on([failing, down, fine])
+    with fingers, fingers.let_go():
         failing.calls = 0
         hip = np.zeros((3, 3))
         failing.fails = ()
         fingers.read(0, hip)  # here the second goes down
         failing.fails = [failing.calls + 1]  # and this one when it is let go
     assert [fault.finger for fault in fingers.faults] == [1, 0] and not down.written
+    assert [(event.kind, event.finger) for event in diary.events] == [("fault", 1), ("fault", 0)]
     np.testing.assert_array_equal(fine.written, np.zeros((1, 3)))
+    assert not any(device.is_open for device in (failing, down, fine))
+
+
+def test_what_fails_when_it_is_closed_is_noted_and_no_more():
+    class Stuck(Plain):
+        def close(self):
+            super().close()
+            raise DeviceError("the claw is stuck")
+
+    devices = Plain(), Stuck(), Plain()
+    fingers, diary = fingers_on(devices)
+    with fingers:
+        assert all(device.is_open for device in devices)
+    assert not any(device.is_open for device in devices)
+    assert fingers.faults == [(-1, 1, "the claw is stuck", None)] and diary.events[0].kind == "fault"
+
+
+def test_where_one_does_not_open_those_before_are_closed():
+    class Missing(Plain):
+        def open(self):
+            raise DeviceError("it is not attached")
+
+    first, last = Plain(), Plain()
+    with pytest.raises(DeviceError, match="not attached"), fingers_on([first, Missing(), last])[0]:
+        raise AssertionError
+    assert first.is_open is False and not hasattr(last, "is_open")

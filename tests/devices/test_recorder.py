@@ -16,9 +16,9 @@ import pytest
 from mcap.reader import make_reader
 
 import bus_cases
-from bus_cases import about, numbers, publish, state
+from bus_cases import NONE, about, numbers, publish
 from hapjax import InputError, Recording, load_recording
-from hapjax_devices import DeviceFault, RecorderProcess, TickPublisher, TickReader, record, runs
+from hapjax_devices import Event, RecorderProcess, TickPublisher, TickReader, record, runs
 from hapjax_devices.recorder import growing
 
 RATE = 1000.0
@@ -57,6 +57,9 @@ def test_a_recording_is_what_was_published(tmp_path):
     np.testing.assert_array_equal(recording.hip, hip)
     np.testing.assert_array_equal(recording.gimbal, gimbal)
     np.testing.assert_array_equal(recording.force, force)
+    # What the step answered is what its memory begins with.
+    assert recording.model_force is not None
+    np.testing.assert_array_equal(recording.model_force.reshape(300, -1), memory.astype(np.float32)[:, :6])
     times = np.arange(300) / 400
     np.testing.assert_array_equal(recording.hip_t, times)
     np.testing.assert_array_equal(recording.pose_t, np.arange(1, 301) / 400)
@@ -76,7 +79,7 @@ def test_a_recording_says_of_itself_what_it_is(tmp_path):
         (run,) = reader.iter_metadata()
     assert summary is not None and summary.statistics is not None
     assert {c.topic for c in summary.channels.values()} == {
-        *("/hip", "/force", "/gimbal", "/pose", "/servo", "/event")
+        *("/hip", "/force", "/model_force", "/gimbal", "/pose", "/servo", "/event")
     }
     assert set(attached) == {"scene.toml", "devices.json"} and b"cube" in attached["scene.toml"]
     assert json.loads(attached["devices.json"])[1]["force_limit"] == 8.5
@@ -95,35 +98,27 @@ def test_a_recording_says_of_itself_what_it_is(tmp_path):
 
 def test_what_happened_is_in_the_recording(tmp_path):
     path = tmp_path / "events.mcap"
-    broken = DeviceFault(50, 1, "the cable is out")
 
     def ticks(publisher):
-        publish(publisher, range(50))
-        publish(publisher, range(50, 60), state([1], [broken]), (0, 0, 1, 0))
-        publish(publisher, range(60, 65), state([], [broken._replace(back=60)]), (0, 0, 7, 2))
-        publish(publisher, range(65, 150), counts=(0, 0, 7, 2))
-        publish(publisher, range(152, 155), counts=(3, 0, 7, 2))
+        publish(publisher, range(150), counts=(0, 0, 7, 2, 5, 3, 1))
+        publisher.tell(Event(50, time.perf_counter_ns(), 1, "fault", "the cable is out"))
+        publisher.tell(Event(60, time.perf_counter_ns(), 1, "limited", "forces over it"))
+        publish(publisher, range(152, 155), counts=(3, 0, 7, 2, 5, 3, 1))
 
     recorded(path, ticks)
-    lost = "ticks at which the scene left the range of sense, no force put out"
-    limited, missed = "forces over a device's limit, cut to it", "deadlines missed"
-    assert sorted(events(path), key=lambda event: (event[1], event[2])) == [
-        ("limited", 50, f"{limited}: begins at tick 50"),
+    assert sorted(events(path), key=lambda event: (event[1], event[0])) == [
         ("fault", 50, "the cable is out"),
-        ("limited", 60, f"{limited}: 7 in the ticks 50 to 60"),
-        ("back", 60, "the device of finger 1 is back; its force rises"),
-        ("lost", 60, f"{lost}: 2 in the ticks 60 to 60"),
-        ("lost", 60, f"{lost}: begins at tick 60"),
-        ("missed", 152, f"{missed}: 3 in the ticks 152 to 152"),
-        ("missed", 152, f"{missed}: begins at tick 152"),
+        ("limited", 60, "forces over it"),
         ("dropped", 154, "2 ticks before tick 154 were not recorded: the recorder was late"),
         ("end", 154, "the loop ended after 155 ticks"),
     ]
-    levels = {said["kind"]: said["level"] for _, _, said in messages(path, "/event")}
-    assert (levels["fault"], levels["limited"], levels["end"]) == (4, 3, 2)
-    assert (
-        any("dropout" == finding.kind for finding in load_recording(path).findings) is False
-    )  # 2 are no gap
+    said = {message["kind"]: message for _, _, message in messages(path, "/event")}
+    assert [said[kind]["level"] for kind in ("fault", "limited", "end")] == [4, 3, 2]
+    assert (said["limited"]["finger"], said["limited"]["t"]) == (1, 60 / 400)
+    last = messages(path, "/servo")[-1][2]
+    assert [last[name] for name in ("missed", "limited", "slewed", "ramped", "overrun")] == [3, 7, 5, 3, 1]
+    found = load_recording(path).findings
+    assert not any(finding.kind == "dropout" for finding in found)  # 2 are no gap
 
 
 def test_samples_that_are_not_finite_are_left_out_and_counted(tmp_path):
@@ -132,10 +127,8 @@ def test_samples_that_are_not_finite_are_left_out_and_counted(tmp_path):
     def ticks(publisher):
         publish(publisher, range(10))
         hip, gimbal, force, memory = numbers(10)
-        memory[5] = np.nan
-        publisher.publish(
-            10, time.perf_counter_ns(), 0.0, 0.0, (0, 0, 0, 1), state(), hip, gimbal, force, memory
-        )
+        memory[8] = np.nan  # of the pose
+        publisher.publish(10, time.perf_counter_ns(), 0.0, 0.0, NONE, 0, hip, gimbal, force, memory)
 
     recorded(path, ticks)
     recording = Recording.load(path)

@@ -1,6 +1,9 @@
 """The servo loop: what it records is what the step was given and what the devices put out."""
 
 import gc
+import os
+import threading
+import time
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -100,6 +103,7 @@ def test_a_run_is_the_same_each_time_in_real_time_or_not():
             force_sensor=devices.ForceSensor(seed=1),
             pose_tracker=devices.PoseTracker(seed=1),
             realtime=realtime,
+            overrun=10**9,  # on a busy machine too
         )
         for realtime in (False, True)
     ]
@@ -116,7 +120,7 @@ def test_a_run_is_the_same_each_time_in_real_time_or_not():
 def test_the_summary_is_that_of_the_ticks():
     lateness = np.arange(1001.0)
     recording = hapjax.Recording(hip=np.zeros((1, 1, 3)), hip_t=np.zeros(1))
-    result = devices.ServoResult(recording, lateness, lateness / 10, 7, 0, 0, ())
+    result = devices.ServoResult(recording, lateness, lateness / 10, 7, (), ())
     summary = result.summary()
     assert summary["lateness_us"] == pytest.approx({"p50": 500, "p99": 990, "p99.9": 999, "max": 1000})
     assert summary["compute_us"] == pytest.approx({"p50": 50, "p99": 99, "p99.9": 99.9, "max": 100})
@@ -135,6 +139,9 @@ def test_the_rate_sets_the_step():
     np.testing.assert_allclose(recording.pose[0, 0, 2], -9.81 * 2e-3**2 * 50 * 51 / 2, rtol=1e-12)
 
 
+RISING, AT_ONCE = devices.Limits(ramp=0.01), devices.Limits(ramp=0.0)
+
+
 def deep(breaks_at=None):
     """Fingers that push 2 N and 40 N against a fixed wall of 800 N/m; the second is over its limit."""
     scene = Scene(object={"wall": Object(Plane(), Surface(800.0, mu=0.5))})
@@ -143,12 +150,24 @@ def deep(breaks_at=None):
 
 def test_commands_keep_to_each_devices_limit_and_end_at_none():
     scene, watched = deep()
-    result = devices.run(scene, watched, 0.02, realtime=False)
-    assert result.limited == 20 and result.not_finite == 0
-    for device, size in zip(watched, (2.0, 2.0), strict=True):
-        np.testing.assert_allclose(device.written[:-1], np.full((20, 3), [0.0, 0.0, size]), rtol=1e-6)
+    result = devices.run(scene, watched, 0.02, realtime=False, limits=RISING)
+    # Both were inside from the start, so their forces rise in 10 ticks: to 2 N, and to far more than the limit.
+    assert [(c.limited, c.ramped) for c in result.safety] == [(0, 10), (19, 10)]
+    assert result.limited == 19 and result.not_finite == 0
+    share = np.arange(20) / 10
+    for device, sizes in zip(watched, (np.minimum(share, 1), np.minimum(20 * share, 1)), strict=True):
+        np.testing.assert_allclose(np.array(device.written[:-1])[:, 2], 2.0 * sizes, rtol=1e-6)
         np.testing.assert_array_equal(device.written[-1], np.zeros(3))
         assert not device.open_now
+    assert result.recording.model_force is not None  # what was wanted, not what was allowed
+    np.testing.assert_allclose(
+        result.recording.model_force[:, :, 2], np.tile([2.0, 40.0], (20, 1)), rtol=1e-6
+    )
+    assert [(e.kind, e.finger) for e in result.events if "begins" in e.sentence] == [
+        ("ramped", 0),
+        ("ramped", 1),
+        ("limited", 1),
+    ]
 
 
 def test_a_position_that_is_nan_ends_the_loop_without_force():
@@ -179,11 +198,11 @@ def broken_step(monkeypatch, after, answer):
 def test_a_step_that_answers_nan_pushes_no_one_and_is_counted(monkeypatch):
     scene, watched = deep()
     broken_step(monkeypatch, 5, lambda memory: memory * jnp.nan)
-    result = devices.run(scene, watched, 0.02, realtime=False)
-    assert result.not_finite == 2 * 15
+    result = devices.run(scene, watched, 0.02, realtime=False, limits=AT_ONCE)
+    assert result.not_finite == 2 * 15 and [c.not_finite for c in result.safety] == [15, 15]
     for device in watched:
         written = np.array(device.written)
-        assert np.all(written[:5, 2] > 1) and np.all(written[5:] == 0)
+        assert np.all(written[1:5, 2] > 1) and np.all(written[5:] == 0)
 
 
 @pytest.mark.parametrize("realtime", [True, False])
@@ -194,7 +213,7 @@ def test_after_an_exception_in_the_step_the_forces_are_off(monkeypatch, realtime
     scene, watched = deep()
     broken_step(monkeypatch, 5, fail)
     with pytest.raises(FloatingPointError):
-        devices.run(scene, watched, 1.0, realtime=realtime)
+        devices.run(scene, watched, 1.0, realtime=realtime, limits=AT_ONCE)
     for device in watched:
         assert len(device.written) == 6 and np.any(device.written[4] != 0)
         np.testing.assert_array_equal(device.written[-1], np.zeros(3))
@@ -210,12 +229,87 @@ def test_a_device_that_breaks_does_not_keep_the_others_pushing():
     assert not watched[0].open_now and not watched[1].open_now
 
 
+def test_a_device_that_fails_when_it_is_let_go_costs_nothing_but_itself():
+    name, heard = f"let-go-{os.getpid()}", []
+    scene, watched = deep(breaks_at=21)
+
+    def listen():
+        with devices.TickReader(name) as reader:
+            while not any(event.kind == "end" for event in heard):
+                heard.extend(reader.events())
+                time.sleep(0.01)
+
+    thread = threading.Thread(target=listen)
+    thread.start()
+    bus = devices.Broadcast(name, readers=1)
+    result = devices.run(scene, watched, 0.02, realtime=False, broadcast=bus)
+    thread.join(20)
+    assert result.faults == ((19, 0, "the cable is out", None),)
+    assert [(e.kind, e.tick, e.finger) for e in result.events if e.kind == "fault"] == [("fault", 19, 0)]
+    assert heard[:-1] == list(result.events)
+    assert not any(device.open_now for device in watched)
+    np.testing.assert_array_equal(watched[1].written[-1], np.zeros(3))
+
+
+class Slow(Watched):
+    """A device that once takes as many ticks as that for an answer."""
+
+    def __init__(self, place, ticks):
+        super().__init__(place)
+        self.ticks = ticks
+
+    def write(self, force):
+        if len(self.written) == 30:
+            time.sleep((self.ticks + 0.5) * 1e-2)
+        return super().write(force)
+
+
+@pytest.mark.parametrize("late", [1, 5])
+def test_after_too_many_missed_ticks_the_next_force_is_none_and_rises(late):
+    """At 100 Hz; none is put out after more than 3."""
+    scene = hapjax.cast(Scene({"wall": Object(Plane(), Surface(800.0, mu=0.5))}), jnp.float32)
+    device = Slow((0, 0, -0.0025), late)
+    result = devices.run(scene, [device], 0.6, 100.0, limits=devices.Limits(ramp=0.05), overrun=3)
+    sizes = np.array(device.written)[:-1, 2]
+    rise = np.concatenate([2.0 * np.arange(5) / 5, np.full(60, 2.0)])
+    if result.missed > late:
+        pytest.skip("the machine is too busy to be late by so much and no more")
+    assert result.missed == late
+    expected = rise[:60]
+    if late > 3:
+        expected = np.concatenate([rise[:31], rise[:29]])
+    np.testing.assert_allclose(sizes, expected, rtol=1e-6)
+    assert result.overrun == (late > 3) and result.safety[0].ramped == 5 * (1 + (late > 3))
+    kinds = {event.kind: event.tick for event in result.events if "begins" in event.sentence}
+    assert kinds.get("overrun") == (31 if late > 3 else None) and kinds["missed"] == 31
+
+
+def test_fingers_begin_where_they_are_at_the_first_tick():
+    """Not where they were seconds before, when the step was compiled: no slide across the wall to where they are now."""
+
+    class Moved(Watched):
+        reads = 0
+
+        def read(self):
+            self.reads += 1
+            return self.place if self.reads > 1 else np.array([0.05, 0.0, -0.001])
+
+    scene, _ = deep()
+    device = Moved((0.0, 0.0, -0.0025))
+    device.force_limit = 8.0
+    recording = devices.run(scene, [device], 0.01, realtime=False).recording
+    assert recording.model_force is not None
+    np.testing.assert_allclose(recording.model_force, np.tile([0.0, 0.0, 2.0], (10, 1, 1)), atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         ({"devices": []}, "devices is empty"),
         ({"rate": 0.0}, "rate is 0.0 Hz"),
         ({"rate": float("nan")}, "rate is nan Hz"),
+        ({"overrun": -1}, "overrun is -1; allowed: 0 ticks or more"),
+        ({"limits": [devices.Limits()]}, "limits has 1 items; allowed: 2, one a device"),
         ({"duration": 0.0}, "duration is 0.0 s"),
         ({"duration": float("inf")}, "duration is inf s"),
         ({"force_sensor": devices.ForceSensor(rate=300.0)}, "force_sensor's rate is 300.0 Hz"),

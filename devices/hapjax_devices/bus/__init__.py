@@ -5,6 +5,5 @@ from .numbers import Inbox as Inbox
 from .numbers import Numbers as Numbers
 from .publisher import Broadcast as Broadcast
 from .publisher import TickPublisher as TickPublisher
-from .reader import Event as Event
 from .reader import TickReader as TickReader
 from .services import runs as runs

@@ -11,11 +11,12 @@ from jaxtyping import Float, Shaped
 
 from hapjax import InputError
 
-from ..fingers import DeviceFault, Fingers
+from ..event import Event
 from . import services
 from .about import About
 
-_SCALARS = struct.Struct("<qqddqqqqq")  # those at the beginning of a sample
+_SCALARS = struct.Struct("<qqddqqqqqqqq")  # those at the beginning of a sample
+COUNTED = ("missed", "not_finite", "limited", "lost", "slewed", "ramped", "overrun")  # in each sample
 _AGAIN = 0.05  # s between two looks for readers that are to be told what was said before they came
 
 
@@ -71,8 +72,7 @@ class TickPublisher:
         record = np.frombuffer(self._bytes, about.tick)[0]
         self._hip, self._gimbal, self._force = record["hip"], record["gimbal"], record["force"]
         self._memory = record["memory"][: about.memory]
-        self._faults: list[DeviceFault] = []
-        self._told, self._now = (0, 0), (-1, about.clock_ns)
+        self._now = (-1, about.clock_ns)
 
     def publish(
         self,
@@ -80,8 +80,8 @@ class TickPublisher:
         time_ns: int,
         lateness_us: float,
         compute_us: float,
-        counts: tuple[int, int, int, int],
-        fingers: Fingers,
+        counts: tuple[int, ...],
+        down: int,
         hip: Shaped[np.ndarray, "F 3"],
         gimbal: Shaped[np.ndarray, "G"],
         force: Float[np.ndarray, "F 3"],
@@ -89,12 +89,11 @@ class TickPublisher:
     ) -> None:
         """Say what a tick was.
 
-        **Arguments:** `time_ns` when it began; `counts` so far of deadlines missed, forces not finite, forces limited
-        and ticks at which the scene was lost; the `fingers`, some of whose devices may be down; `hip` (m) and `gimbal`
+        **Arguments:** `time_ns` when it began; `counts` so far, as `COUNTED` names them; `down`, a bit for each finger
+        whose device has a fault; `hip` (m) and `gimbal`
         (rad) as the step got them, `force` (N) as the devices put it out, the packed step's `memory` after it.
         """
         self._now = (tick, time_ns)
-        down = fingers.down
         _SCALARS.pack_into(self._bytes, 0, tick, time_ns, lateness_us, compute_us, *counts, down)
         self._hip[...] = hip
         self._gimbal[...] = gimbal
@@ -106,16 +105,18 @@ class TickPublisher:
                 self._tell_newcomers()
         except Exception:  # whatever the bus has, the fingers come first
             self.unsent += 1
-        if (len(fingers.faults), down) != self._told:
-            self._tell_faults(fingers)
-            self._told = (len(fingers.faults), down)
 
     def event(self, kind: str, sentence: str, finger: int = -1) -> None:
         """Say that something happened at the last tick; `finger` -1: to none of them."""
-        text = sentence.encode()[: services.TEXT]
-        event = np.array([(*self._now, finger, kind.encode(), text)], services.EVENT).tobytes()
+        self.tell(Event(*self._now, finger, kind, sentence))
+
+    def tell(self, event: Event) -> None:
+        """Say what happened."""
+        text = event.sentence.encode()[: services.TEXT]
+        row = (event.tick, event.time_ns, event.finger, event.kind.encode(), text)
+        data = np.array([row], services.EVENT).tobytes()
         try:
-            self._events.send_copy(services.payload("Event", services.EVENT).from_buffer_copy(event))
+            self._events.send_copy(services.payload("Event", services.EVENT).from_buffer_copy(data))
         except Exception:
             self.unsent += 1
 
@@ -146,18 +147,6 @@ class TickPublisher:
         why = "" if error is None else f": {error or kind.__name__}"
         self.event("end", f"the loop ended after {self._now[0] + 1} ticks{why}")
         self.close()
-
-    def _tell_faults(self, fingers: Fingers) -> None:
-        """Say which faults are new, and which devices are back."""
-        for place, fault in enumerate(fingers.faults):
-            before = self._faults[place] if place < len(self._faults) else None
-            if before is None:
-                self.event("fault", fault.sentence, fault.finger)
-            if fault.back is not None and (before is None or before.back is None):
-                self.event(
-                    "back", f"the device of finger {fault.finger} is back; its force rises", fault.finger
-                )
-        self._faults = list(fingers.faults)
 
     def _tell_newcomers(self) -> None:
         # A reader gets what was sent before it came when the sender next looks.

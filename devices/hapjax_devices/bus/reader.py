@@ -5,24 +5,15 @@ import os
 import select
 import time
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from hapjax import InputError
 
+from ..event import Event
 from . import services
 from .about import About
-
-
-class Event(NamedTuple):
-    """Something that happened at a `tick` (`time_ns` by its clock) to a `finger` (-1: to none), of a `kind`, in words."""
-
-    tick: int
-    time_ns: int
-    finger: int
-    kind: str
-    sentence: str
 
 
 class TickReader:

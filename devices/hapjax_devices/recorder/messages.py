@@ -9,9 +9,11 @@ import numpy as np
 from hapjax.recording.channels import CHANNELS
 from hapjax.recording.mcap_file import schema
 
-from ..bus import About, Event
+from ..bus import About
+from ..bus.publisher import COUNTED
+from ..event import Event
 
-SERVO = ("tick", "lateness_us", "compute_us", "missed", "not_finite", "limited", "lost", "down")
+SERVO = ("tick", "lateness_us", "compute_us", *COUNTED, "down")
 _WHOLE = {"type": "integer"}
 _NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
 _LEVELS = {
@@ -46,7 +48,7 @@ class Messages:
 
     def __init__(self, about: About):
         self._about = about
-        self._channels = {"hip": about.fingers, "force": about.fingers}
+        self._channels = {"hip": about.fingers, "force": about.fingers, "model_force": about.fingers}
         self._channels |= {"gimbal": about.gimbals} if about.gimbals else {}
         self._channels |= {"pose": len(about.objects)} if about.objects else {}
         self._templates = {name: _template(name, count) for name, count in self._channels.items()}
@@ -64,7 +66,9 @@ class Messages:
         times, stamps = ticks["tick"] / rate, ticks["time_ns"] + self._to_wall
         for name, template in self._templates.items():
             at, of = times, stamps
-            if name == "pose":  # a step's poses belong to its end
+            if name == "model_force":
+                values = ticks["memory"][:, : 3 * self._about.fingers].astype(float)
+            elif name == "pose":  # a step's poses belong to its end
                 at, of = (ticks["tick"] + 1) / rate, stamps + round(1e9 / rate)
                 values = ticks["memory"][:, self._pose_at].astype(float)
             else:

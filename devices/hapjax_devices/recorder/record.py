@@ -4,13 +4,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from ..bus import Event, TickReader
+from ..bus import TickReader
+from ..event import Event
 from .growing import GrowingFile
 from .messages import Messages
-from .spells import Spells
 
 PERIOD = 0.04  # s between two batches: with the time that one takes, at most 0.1 s is lost where the recorder is killed
-CALM = 0.1  # s without another one after which a spell is over
 
 
 def record(
@@ -51,7 +50,6 @@ class _Tape:
 
     def __init__(self, reader: TickReader, messages: Messages, file: GrowingFile):
         self._reader, self._messages, self._file = reader, messages, file
-        self._spells = Spells(max(1, round(CALM * reader.about.rate)))
         self._ticks, self._lost, self._end, self._unfit = 0, 0, -1, 0
         self._now = reader.about.clock_ns
 
@@ -62,7 +60,7 @@ class _Tape:
         said = [*self._messages.of_ticks(ticks)] if len(ticks) else []
         if len(ticks):
             self._ticks, self._now = self._ticks + len(ticks), int(ticks["time_ns"][-1])
-            events = [*events, *self._spells.watch(ticks), *self._left_out()]
+            events = [*events, *self._left_out()]
         self._end = max([self._end, *(e.tick for e in events if e.kind == "end")])
         said += [self._messages.of_event(event) for event in events]
         if said:
@@ -75,8 +73,7 @@ class _Tape:
 
     def finish(self) -> str:
         """Write the end of the file; how it went, in a sentence."""
-        events = self._spells.end()
-        how = ""
+        events, how = [], ""
         if self._end < 0 and not self._reader.is_alive():
             how = "; the servo's process ended without a word"
             sentence = f"the servo's process ended without a word after tick {self._reader.last}"
