@@ -1,6 +1,7 @@
 """Stability maps and the closed loop against formulas: explicit limits, discrete-time eigenvalues, Colgate's bound."""
 
 import csv
+import io
 import json
 from functools import partial
 from types import SimpleNamespace
@@ -8,6 +9,7 @@ from types import SimpleNamespace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from rich.console import Console
 
 import hapjax
 from hapjax import Body, Box, Contact, InputError, Object, Plane, Scene, Sphere, Surface, World
@@ -276,6 +278,12 @@ def test_the_recommendation_is_within_an_error_where_one_is_asked_for():
         "known to 2e-07 m, so errors below that say nothing."
     )
     assert "m off" not in page.advice([choices[1]._replace(error=None)], 500.0)
+    with io.StringIO() as narrow:
+        row = choices[2]._replace(integrator="semi_implicit_matrix")
+        Console(file=narrow, width=80).print(page.table("", *page.choice_rows([row], 500.0)))
+        assert narrow.getvalue().splitlines()[-2].split() == [
+            *("semi_implicit_matrix", "2", "4.0", "no", "3", "blown", "up", "2.0e-06")
+        ]
 
 
 def test_substeps_go_on_until_the_error_is_met_too(monkeypatch):

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.table import Column, Table
+from rich.box import SIMPLE
+from rich.table import Table
 
 from ..errors import InputError
 from ..files import replacing
@@ -89,9 +90,9 @@ def choice_rows(choices: Sequence[Choice], rate: float) -> tuple[list[str], list
     header = [
         "integrator",
         "substeps",
-        f"us a step at {rate:g} Hz",
+        f"us a step\nat {rate:g} Hz",
         "settles",
-        "up to stiffness times",
+        "up to\nstiffness\ntimes",
         "pressed",
     ]
     return [*header, "error, m"] if any(c.error is not None for c in choices) else header, rows
@@ -129,8 +130,10 @@ def _described(choice: Choice) -> str:
 
 
 def table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """A table for the terminal."""
-    made = Table(*(Column(name, no_wrap=name == "integrator") for name in header), title=title)
+    """A table for the terminal, in a narrow one too: headings fold between words, cells not at all."""
+    made = Table(title=title, title_justify="left", box=SIMPLE, padding=0)
+    for name, *cells in zip(header, *rows, strict=True):
+        made.add_column(name, min_width=max(map(len, [*name.split(), *cells])))
     for row in rows:
         made.add_row(*row)
     return made
