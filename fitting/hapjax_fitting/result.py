@@ -43,8 +43,9 @@ class FitResult:
 
     `parameters` by path; `scene` and `sensors` with the best values, those of the first recording where
     each has its own; `loss`, half the sum of squared whitened residuals; `residual_rms` in N (`force`), m (`pose`) and
-    rad (`angle`); `converged`: whether the solver met its tolerances, and the residuals are below twice the noise or at
-    least two starts, and a quarter of them, ended at the best loss, else `reason` says what is missing; `starts`, of which
+    rad (`angle`); `converged`: whether the solver met its tolerances, and the residuals are below 1.2 times the noise
+    (twice, of a start that was alone) or as many starts ended at the best loss as `success.why_not` asks, else `reason`
+    says what is missing; `starts`, of which
     `starts_at_best` ended at the best loss; `noise`, the
     standard deviations that the residuals were divided by: `force` N, `position` m, `angle` rad; `trace`:
     each start's loss by step; `lost`, how many samples of a recording, by its name, were dropped because the model left the
