@@ -11,9 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from hapjax_devices import Falcon
+from hapjax_devices.event import Diary
 from hapjax_devices.falcon.emulator import EmulatedFalcon, EmulatedUsb, Fault
 from hapjax_devices.falcon.processor import synthetic_firmware
 from hapjax_devices.fingers import Fingers
+from hapjax_devices.safety import Safety
 
 PUSH = np.array([1.0, -2.0, 3.0])
 # What does no harm once the line is open and the firmware runs; a fault in any other way ends the force.
@@ -94,7 +96,10 @@ class Loop:
 
     def __init__(self, rig: Rig):
         self.rig, self.other = rig, Other()
-        self.fingers = Fingers([rig.falcon, self.other], 100.0)
+        safety = Safety([8.0, 8.0], 100.0)
+        for finger in range(2):  # both are in
+            safety(-1, finger, (0.0, 0.0, 0.0))
+        self.fingers = Fingers([rig.falcon, self.other], 100.0, safety, Diary(100.0))
         self.hip, self.output, self.ticks = np.zeros((2, 3)), np.zeros((2, 3)), 0
 
     def tick(self) -> None:
