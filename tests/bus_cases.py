@@ -55,9 +55,10 @@ def publish(publisher, ticks, down=0, counts=NONE, begin=None):
 
 def main(name: str, rate: float, fingers: int) -> None:
     """Publish at a rate, each tick with other numbers, until killed."""
-    with TickPublisher(about(name, rate, fingers)) as publisher:
+    memory = 3 * fingers + 7  # forces, and a pose
+    with TickPublisher(about(name, rate, fingers, memory)) as publisher:
         publisher.wait_for(1, 30.0)
-        prepared = [numbers(tick, fingers) for tick in range(1000)]
+        prepared = [numbers(tick, fingers, memory) for tick in range(1000)]
         pacer = Pacer(round(1e9 / rate), MonotonicClock())
         for tick in range(10**9):
             late = pacer.wait() * 1e-3

@@ -46,7 +46,7 @@ class PassivityControl:
 
         W = E[n] - T v . (f[n-d] + ... + f[n])       a = -W / (T |v|^2)       f[n] <- f[n] - a v
 
-    with a at most `most_damping`. The force guard then limits the force.
+    with a at most `most_damping`. `Safety` then limits the force.
 
     **Arguments:** `period` T in s; `hip` (F, 3) m, where the fingers are.
 
