@@ -15,7 +15,7 @@ from hapjax_devices.bus import Inbox, services
 MU, STIFFNESS = "object.table.surface.mu", "object.table.surface.stiffness"
 
 
-def table(dtype=float):
+def table(dtype: type[np.floating] | type[float] = float):
     made = hapjax.Scene({"table": hapjax.Object(hapjax.Plane(), hapjax.Surface(800.0, mu=0.6))})
     return hapjax.cast(made, dtype)
 
