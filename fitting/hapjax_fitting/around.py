@@ -22,7 +22,7 @@ def lowest_around(
     `variance`, from 3 to 1000. How far the next hollow is nobody knows.
     """
     free, random = np.asarray(ends.free[ends.best], np.float64), np.random.default_rng(seed)
-    _, values, right = np.linalg.svd(np.asarray(ends.jacobian, np.float64), full_matrices=False)
+    _, values, right = np.linalg.svd(ends.slopes.astype(np.float64), full_matrices=False)
     error = np.sqrt(variance) / np.maximum(values, np.finfo(float).eps * max(values[0], 1.0))
     farthest = _OFF * np.array([size_at(p, float(x)) for p, x in zip(problem.parameters, free, strict=True)])
     places, losses = [], []

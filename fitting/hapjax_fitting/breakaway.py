@@ -99,7 +99,7 @@ def broken_away(ends: Solutions, problem: Problem, variance: float) -> Float[Arr
 
 def _covariance(ends: Solutions) -> Float[np.ndarray, "p p"]:
     """Of the free numbers at the best end, for residuals of variance 1."""
-    matrix = np.asarray(ends.jacobian, np.float64)
+    matrix = ends.slopes.astype(np.float64)
     rows, count = matrix.shape
     return certainty(matrix, np.ones(rows), np.full(count, np.inf), np.ones(count, bool)).covariance
 

@@ -39,7 +39,7 @@ def result_of(
 ) -> FitResult:
     """Estimates, intervals and what else there is to say of the best end of a search."""
     best = ends.best
-    free, matrix = ends.free[best], np.asarray(ends.jacobian)
+    free, matrix = ends.free[best], ends.slopes
     channels = channels_of(residuals, problem)
     size, variance, typical = spread_at(problem, residuals, given_noise)
     variance = reduced_rows(channels, variance, len(free))

@@ -31,7 +31,7 @@ def elsewhere(ends: Solutions, problem: Problem, variance: float) -> Float[Array
     free, found = ends.free[ends.best], None
     least = float(ends.loss[ends.best])
     lowest = least - NOTICEABLE * variance / 2
-    for i in without_influence(np.asarray(ends.jacobian), problem):
+    for i in without_influence(ends.slopes, problem):
         met: dict[float, float] = {}
 
         def differs(factor: float, i: int = i, met: dict[float, float] = met) -> bool:

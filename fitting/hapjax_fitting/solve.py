@@ -38,6 +38,15 @@ class Solutions(eqx.Module):
         return int(jnp.argmin(jnp.where(jnp.isfinite(self.loss), self.loss, jnp.inf)))
 
     @property
+    def slopes(self) -> Float[np.ndarray, "*m p"]:
+        """The Jacobian, or 0 where it is not finite.
+
+        A wild simulation may have a loss, but derivatives beyond what numbers hold: none is to be claimed by these.
+        """
+        jacobian = np.asarray(self.jacobian)
+        return jacobian if np.isfinite(jacobian).all() else np.zeros_like(jacobian)
+
+    @property
     def at_best(self) -> "Solutions":
         """The start with the lowest loss alone."""
         one = slice(self.best, self.best + 1)
