@@ -174,6 +174,10 @@ ARGUMENTS = [
         ["object.cube.mu", "object.cube.surface"],
     ),
     (["fit", "{both}", "--scene", "{scene}", "--free", "object.cube.surface"], ["not a number"]),
+    (
+        ["fit", "{both}", "--scene", "{scene}", "--free", "object.cube.surface.mu", "--posterior", "10"],
+        ["samples is 10", "50 to 100000"],
+    ),
     (["fit", "{both}", "--scene", "{scene}", "--free", "object.cube.surface.mu_static"], ["leaves out"]),
     (["fit", "{both}", "--scene", "{scene}", "--free", "object.cube.surface.mu[1]"], ["out of range"]),
     (["fit", "{both}", "--scene", "{scene}", "--free", "world.dead_band"], ["world.dead_band", "above 0"]),

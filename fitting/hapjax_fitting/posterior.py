@@ -69,6 +69,14 @@ class Posterior:
         return [of_posterior(self)]
 
 
+def check_numbers(samples: int, seed: int) -> None:
+    """Refuse what no draws can be made with, before a fit has been waited for. **Raises:** `InputError`."""
+    for name, value, low, high in (("samples", samples, 50, 100_000), ("seed", seed, 0, 2**63 - 1)):
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise InputError(f"{name} is {value!r}; allowed: a whole number from {low} to {high}")
+    need("blackjax", "posterior")
+
+
 def posterior(result: FitResult, samples: int = 1000, seed: int = 0) -> Posterior:
     """Draw from the posterior with the fit's own likelihood, by NUTS (Hoffman and Gelman 2014; blackjax).
 
@@ -81,9 +89,7 @@ def posterior(result: FitResult, samples: int = 1000, seed: int = 0) -> Posterio
     **Raises:** `InputError` where blackjax is missing, and where a number is not identified, since a flat prior then has no
     posterior, or is one whose likelihood has no gradient, such as a `mu_static`.
     """
-    for name, value, low, high in (("samples", samples, 50, 100_000), ("seed", seed, 0, 2**63 - 1)):
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise InputError(f"{name} is {value!r}; allowed: a whole number from {low} to {high}")
+    check_numbers(samples, seed)
     problem, names = result.problem, list(result.parameters)
     for i, (name, estimate) in enumerate(result.parameters.items()):
         if not estimate.identified:
@@ -93,7 +99,6 @@ def posterior(result: FitResult, samples: int = 1000, seed: int = 0) -> Posterio
             )
         if is_unseen(problem, i):
             raise InputError(f"posterior needs gradients, and {name} has none; allowed: a fit without it")
-    need("blackjax", "posterior")
     free = jnp.asarray(result.free)
     back = problem.by_reported(free)
     spread = result.covariance if back is None else back @ result.covariance @ back.T

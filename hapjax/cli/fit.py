@@ -81,6 +81,8 @@ def fit(
             check_makeable(report)
         if profile and not compare:
             need("hapjax_fitting.profile", "fitting").check_names(profile, free)
+        if posterior is not None:
+            need("hapjax_fitting.posterior", "fitting").check_numbers(posterior, seed)
         loaded, read = agreed(lambda: ([load_recording(p, topics) for p in recordings], load_scene(scene)))
         options: dict[str, Any] = {
             "observe": observe,

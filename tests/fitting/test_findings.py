@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from fitting_cases import floor, forces, held_cube, shaken_cube, stroke
 from hapjax import Recording, Scene, cast
+from hapjax_fitting import fit
 from hapjax_fitting.benchmark import pushed, speed
 from hapjax_fitting.benchmark.cases import CASES
 from hapjax_fitting.evidence import scaled
@@ -372,6 +373,16 @@ def test_what_never_slips_is_named(sigma):
     assert found(short, friction=False)[0] == set()
     assert found(on_floor(0, sigma), floor(mu=30.0), friction=True)[0] == set()
     assert found(in_hand(), friction=True)[0] == {("no slip", "force")}
+
+
+@pytest.mark.parametrize(("length", "slides"), [(1.0e-3, False), (1.35e-3, True)])
+def test_a_fit_that_finds_mu_in_a_slip_too_small_to_be_seen_does_not_say_that_none_can_be(length, slides):
+    free = ("object.floor.surface.mu", "object.floor.surface.stiffness")
+    short = on_floor(0, length=length)
+    assert found(short, friction=True)[0] == {("no slip", "force")}
+    result = fit(floor(), [short], free, starts=1)
+    assert result.parameters[free[0]].identified == slides
+    assert [finding.kind for finding in result.findings] == ([] if slides else ["no slip"])
 
 
 def test_several_recordings_are_told_apart():
