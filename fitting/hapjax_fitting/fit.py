@@ -140,7 +140,9 @@ def fit(
     seconds, lost = time.perf_counter() - began, lost_of(lost, names)
     result = result_of(problem, ends, residuals, trace, used, called, seconds, noise, lost)
     result = result if enough else of_nothing(result)
-    friction = any(is_mu(p) and not result.parameters[p.name].identified for p in parameters)
+    # Of several recordings one may be without a slip, whatever the others tell.
+    several = len(recordings) > 1
+    friction = any(is_mu(p) and (several or not result.parameters[p.name].identified) for p in parameters)
     measured_by = {name: result.sensors_of(name) for name in called}
     found = findings_of(scene, recordings, names, friction, measured_by)
     alike = correlated(channels_of(residuals, problem), noise or (), loss) if enough else []
