@@ -39,14 +39,24 @@ def with_numbers_given(name, give, dtype=float):
     loop.start()
     try:
         with devices.TickReader(name) as reader, devices.Numbers(name) as numbers:
-            time.sleep(0.1)  # some ticks before, and some after
+            before = ticks_of(reader, 50)
             given = give(numbers)
-            time.sleep(0.2)
+            after = ticks_of(reader, 100)
             over.append(True)
             loop.join()
-            return given, reader.take(), reader.events()
+            return given, np.concatenate([before, after, reader.take()]), reader.events()
     finally:
         over.append(True)
+
+
+def ticks_of(reader, count):
+    """The next ticks of a run, as many as this or more, however long it takes to begin."""
+    ticks, until = [reader.take()], time.monotonic() + 60
+    while sum(map(len, ticks)) < count:
+        assert time.monotonic() < until, "the run does not go on"
+        time.sleep(5e-3)
+        ticks.append(reader.take())
+    return np.concatenate(ticks)
 
 
 def reader_of(bus):
