@@ -8,12 +8,14 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from hapjax import Finding, Mesh
+from hapjax import Finding, Mesh, Recording
 
 from .evidence import Evidence
 from .motion import Stuck
 from .noise import correlation_time
 
+_MOSTLY = 0.2  # of a channel's samples: so many are compared, or it is said
+_UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 _FAR = 1.0  # s, the largest shift that is looked for, and
 _FAR_ON_MESHES, _PART = 0.25, 0.65  # of a recording's length
 _COARSE, _FINE = 0.01, 21  # s between the shifts that are tried first, and how many are tried near the best
@@ -29,6 +31,31 @@ _HAZY = 1.5  # times what noise comes to where poses count: so well is that know
 _LEAST, _LEAST_OF_POSES = 2e-3, 6e-3  # s, and where noisy poses count: rates are not well known there
 _TICK, _LONG_TICK = 5e-4, 8e-3  # s before and after, over which rates are taken, and where noisy poses count
 _SMOOTH = 0.015  # s, over which noisy poses are smoothed
+
+
+def beside(recording: Recording) -> tuple[Recording, list[Finding]]:
+    """The recording with times in seconds, and of which channels most samples were outside of the time of the fingers'
+    path, so that they are not compared."""
+    if recording.hip_t is None:
+        return recording, []
+    begin, end, found = float(recording.hip_t[0]), float(recording.hip_t[-1]), []
+    for name, times in (("force", recording.force_t), ("pose", recording.pose_t)):
+        if times is None:
+            continue
+        inside = int(np.sum((times >= begin) & (times <= end)))
+        if inside >= _MOSTLY * len(times):
+            continue
+        longer = float(times[-1] - times[0]) / max(end - begin, 1e-300)
+        factor = next((factor for factor in _UNITS if factor / 2 <= longer <= 2 * factor), None)
+        looks = "" if factor is None else f": its times look like {_UNITS[factor]}, expected seconds"
+        sentence = (
+            f"only {inside} of {len(times)} samples of {name}, from {times[0]:.10g} to {times[-1]:.10g} s, are within the "
+            f"time of hip, {begin:.10g} to {end:.10g} s, the others are left out{looks}"
+        )
+        kind = "clocks apart" if factor is None else "time unit"
+        found.append(Finding(name, kind, sentence, count=len(times) - inside))
+        recording = replace(recording, **{f"{name}_t": times / (factor or 1.0)})
+    return recording, found
 
 
 def clock_of(evidence: Evidence, suspects: Sequence[Stuck] = ()) -> tuple[Evidence, list[Finding]]:

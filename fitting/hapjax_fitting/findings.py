@@ -15,7 +15,8 @@ import numpy as np
 
 from hapjax import Finding, Recording, Scene
 
-from .clocks import clock_of
+from .axes import axes_of
+from .clocks import beside, clock_of
 from .evidence import Evidence, evidence_of, scaled
 from .fingers import fingers_of, unexplained
 from .held import lies_of_grip
@@ -42,8 +43,8 @@ def findings_of(
 ) -> tuple[Finding, ...]:
     """What is odd about recordings of a scene, with the evidence in a sentence each, after what loading them found.
 
-    Of each recording: units of length, force and angle; force of the wrong sign; fingers swapped; clocks shifted against
-    each other; no contact; no force; a stuck encoder; and, with `friction` to be found, no slip.
+    Of each recording: units of length, force and angle; force of the wrong sign, or along the wrong axis; fingers swapped;
+    clocks shifted against each other; no contact; no force; a stuck encoder; and, with `friction` to be found, no slip.
 
     **Arguments:** `names`, what the recordings are called; `sensors`, how they were measured, by name: what is known of that
     is undone first.
@@ -58,7 +59,8 @@ def findings_of(
 
 def lies(scene: Scene, recording: Recording, friction: bool = True) -> list[Finding]:
     """What the scene says is wrong with a recording."""
-    found = list(_angles(recording))
+    recording, found = beside(recording)
+    found += _angles(recording)
     evidence = evidence_of(scene, recording)
     if evidence is None:
         return found + lies_of_grip(scene, recording)
@@ -72,8 +74,10 @@ def lies(scene: Scene, recording: Recording, friction: bool = True) -> list[Find
     evidence, dealt = fingers_of(evidence)
     suspects = stuck(evidence)
     evidence, late = clock_of(evidence, suspects)
-    frozen = [each.finding for each in (stuck(evidence) if late else suspects)]
-    return found + dealt + late + frozen + (no_slip(evidence) if friction and not frozen else [])
+    evidence, turned = axes_of(evidence, so_read=bool(units or dealt or late))
+    frozen = [each.finding for each in (stuck(evidence) if late or turned else suspects)]
+    slipless = no_slip(evidence) if friction and not frozen else []
+    return found + dealt + late + turned + frozen + slipless
 
 
 def _undone(recording: Recording, sensors: Sensors) -> Recording:

@@ -17,6 +17,7 @@ from .dropping import lost_at, lost_of, of_nothing, without
 from .findings import findings_of
 from .grip import is_mu
 from .interrupt import stopping_at_interrupts
+from .misfit import misfit
 from .noise import noise_of
 from .observation import CHANNELS, observation_of
 from .outcome import result_of
@@ -145,5 +146,7 @@ def fit(
     friction = any(is_mu(p) and (several or not result.parameters[p.name].identified) for p in parameters)
     measured_by = {name: result.sensors_of(name) for name in called}
     found = findings_of(scene, recordings, names, friction, measured_by)
-    alike = correlated(channels_of(residuals, problem), noise or (), loss) if enough else []
-    return replace(result, findings=(*found, *alike))
+    if enough:
+        found += tuple(misfit(residuals, problem, called, noise or ()))
+        found += tuple(correlated(channels_of(residuals, problem), noise or (), loss))
+    return replace(result, findings=found)

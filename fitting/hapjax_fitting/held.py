@@ -4,7 +4,9 @@ Where the object is, is not known then. But forces on fingers that hold somethin
 fingers; the nearer together they are, the more they press; and all together they carry its weight.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -15,7 +17,7 @@ from hapjax import Finding, Mesh, Object, Recording, Scene
 
 from .clocks import best_shift, how_shifted
 from .evidence import at, closest
-from .motion import AXES, FEW, jitter_of, jump, moves, rests
+from .motion import FEW, Stuck, stuck_by
 from .noise import correlation_time, noise_of
 
 _TOWARDS = 0.6  # of a force's size: more than friction makes point towards the other fingers, and
@@ -75,7 +77,7 @@ def lies_of_grip(scene: Scene, recording: Recording) -> list[Finding]:
     grip, scaled = _force(grip)
     suspects = _stuck(grip)
     late = _late(grip, suspects)
-    return found + dealt + scaled + late + ([] if late else [finding for *_, finding in suspects])
+    return found + dealt + scaled + late + ([] if late else [each.finding for each in suspects])
 
 
 def _nothing(scene: Scene, recording: Recording) -> list[Finding]:
@@ -243,28 +245,14 @@ def _distance(grip: Grip, hip: np.ndarray) -> np.ndarray:
     return np.linalg.norm(grip.away(hip), axis=-1).mean(axis=-1)
 
 
-def _stuck(grip: Grip) -> list[tuple[float, float, Finding]]:
+def _stuck(grip: Grip) -> list[Stuck]:
     """Axes that stay at one number, as a jump at the end tells, or a squeeze that does not follow the distance."""
-    recording = grip.recording
-    assert recording.hip is not None and recording.hip_t is not None
-    times, found = recording.hip_t, []
-    for finger in range(recording.hip.shape[1]):
-        for axis in range(3):
-            path = recording.hip[:, finger, axis]
-            jitter = jitter_of(path)
-            for first, last in rests(path, times, jitter):
-                begin, end = float(times[first]), float(times[last])
-                said = jump(path, times, last, jitter)
-                if said is None and moves(recording, finger, axis, first, last, jitter):
-                    said = _contradicted(grip, axis, begin, end)
-                if said is not None:
-                    sentence = (
-                        f"{AXES[axis]} of finger {finger} stays at {path[first]:.6g} m from {begin:.4g} to {end:.4g} s, "
-                        f"{said}: its encoder looks stuck"
-                    )
-                    finding = Finding("hip", "stuck encoder", sentence, at=begin, count=last - first + 1)
-                    found.append((begin, end, finding))
-    return found
+    return stuck_by(grip.recording, partial(_against, grip))
+
+
+def _against(grip: Grip, finger: int, axes: tuple[int, ...], begin: float, end: float) -> str | None:
+    """What the squeeze says against a rest of a finger's axes."""
+    return next(filter(None, (_contradicted(grip, axis, begin, end) for axis in axes)), None)
 
 
 def _contradicted(grip: Grip, axis: int, begin: float, end: float) -> str | None:
@@ -288,13 +276,13 @@ def _contradicted(grip: Grip, axis: int, begin: float, end: float) -> str | None
     return f"while the fingers squeeze by {wrong:.3g} N more or less than their distance gives ({size:.3g} N)"
 
 
-def _late(grip: Grip, suspects: list[tuple[float, float, Finding]]) -> list[Finding]:
+def _late(grip: Grip, suspects: Sequence[Stuck]) -> list[Finding]:
     """A force whose clock is shifted against that of the fingers: the squeeze follows their distance at another time."""
     hip, hip_t = grip.recording.hip, grip.recording.hip_t
     assert hip is not None and hip_t is not None
     used, force = _squeeze(grip)
-    for begin, end, _ in suspects:
-        used &= (grip.times < begin) | (grip.times > end)
+    for each in suspects:
+        used &= (grip.times < each.begin) | (grip.times > each.end)
     few = np.flatnonzero(used)[:: -(-int(used.sum()) // _SAMPLES) or 1]
     if len(few) < FEW:
         return []

@@ -1,7 +1,8 @@
 """Whether what moves is seen to move: encoders that are stuck, fingers that never slip."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d, uniform_filter1d
@@ -22,46 +23,73 @@ _LEAP = 5.0  # times its quick steps: so far an axis jumps only if it was stuck
 _SAME = 1e-3  # what normals of one face differ by
 _ALWAYS = 0.9  # of a recording
 _PULL = 8.0  # times what noise leaves of a normal force: so much more friction is a pull
-AXES = "xyz"
+_MOST_STEP = 1e-3  # m, of an encoder
+AXES, ALL = "xyz", (0, 1, 2)
 
 
 @dataclass(frozen=True)
 class Stuck:
-    """An axis that looks stuck: which moments of a finger that concerns, and what is said of it."""
+    """Axes of a finger that look stuck: which moments that concerns, and what is said of it."""
 
     finger: int
+    axes: tuple[int, ...]
     begin: float
     end: float
     finding: Finding
 
+    def covers(self, finger: int, begin: float, end: float) -> bool:
+        """Whether it is the whole finger, in all but the ends of a time."""
+        within = min(end, self.end) - max(begin, self.begin)
+        return finger == self.finger and self.axes == ALL and within > _ALWAYS * (end - begin)
+
 
 def stuck(evidence: Evidence) -> list[Stuck]:
-    """Axes of fingers that stay at one number while the force says that they moved."""
+    """Fingers, or axes of theirs, that stay at one number while the force says that they moved."""
     recording = evidence.recording
+    assert recording.hip is not None
+    felt = [_Felt(evidence, finger) for finger in range(recording.hip.shape[1])]
+    return stuck_by(recording, lambda finger, axes, begin, end: felt[finger].against(axes, begin, end))
+
+
+def stuck_by(
+    recording: Recording, against: Callable[[int, tuple[int, ...], float, float], str | None]
+) -> list[Stuck]:
+    """Fingers, or axes of theirs, that rest and then jump, or of which a force says something `against` it.
+
+    **Arguments:** `against`, of a finger's axes that rest from one time to another, s: what is said against it.
+    """
     assert recording.hip is not None and recording.hip_t is not None
-    found = []
-    for finger in range(recording.hip.shape[1]):
-        felt = _Felt(evidence, finger)
-        for axis in range(3):
-            path = recording.hip[:, finger, axis]
-            jitter = jitter_of(path)
-            for first, last in rests(path, recording.hip_t, jitter):
-                begin, end = float(recording.hip_t[first]), float(recording.hip_t[last])
-                said = jump(path, recording.hip_t, last, jitter)
-                if said is None and moves(recording, finger, axis, first, last, jitter):
-                    said = felt.against(axis, begin, end)
-                if said is not None:
-                    sentence = (
-                        f"{AXES[axis]} of finger {finger} stays at {path[first]:.6g} m from "
-                        f"{begin:.4g} to {end:.4g} s, {said}: its encoder looks stuck"
-                    )
-                    finding = Finding("hip", "stuck encoder", sentence, at=begin, count=last - first + 1)
-                    found.append(Stuck(finger, begin, end, finding))
+    times, found = recording.hip_t, []
+    for finger, axes in product(range(recording.hip.shape[1]), (ALL, (0,), (1,), (2,))):
+        path = recording.hip[:, finger, axes]
+        jitter = np.array([jitter_of(along) for along in path.T])
+        for first, last in rests(path, times, jitter):
+            begin, end = float(times[first]), float(times[last])
+            if any(each.covers(finger, begin, end) for each in found):
+                continue
+            jumps = (jump(along, times, last, j) for along, j in zip(path.T, jitter, strict=True))
+            said = next(filter(None, jumps), None)
+            if said is None and (axes == ALL or moves(recording, finger, axes[0], first, last, jitter[0])):
+                said = against(finger, axes, begin, end)
+            if said is not None:
+                sentence = f"{_stays(finger, axes, path[first])} from {begin:.4g} to {end:.4g} s, {said}: {_looks(axes)}"
+                finding = Finding("hip", "stuck encoder", sentence, at=begin, count=last - first + 1)
+                found.append(Stuck(finger, axes, begin, end, finding))
     return found
 
 
+def _stays(finger: int, axes: tuple[int, ...], place: np.ndarray) -> str:
+    if axes == ALL:
+        return f"all of finger {finger} stays at {', '.join(f'{x:.6g}' for x in place)} m"
+    return f"{AXES[axes[0]]} of finger {finger} stays at {place[0]:.6g} m"
+
+
+def _looks(axes: tuple[int, ...]) -> str:
+    return "its encoders look stuck" if axes == ALL else "its encoder looks stuck"
+
+
 def unreached(evidence: Evidence) -> list[Finding]:
-    """Axes that stay at one number all the time, outside of what is pressed on: stuck, or nothing was touched."""
+    """Fingers, or axes, that rest all the time outside of what is pressed on: stuck, or nothing was touched."""
     recording = evidence.recording
     assert recording.hip is not None and recording.hip_t is not None
     found = []
@@ -69,23 +97,27 @@ def unreached(evidence: Evidence) -> list[Finding]:
         strongest = float(evidence.strength[:, finger].max())
         if strongest <= 6 * evidence.noise:
             continue
-        for axis in range(3):
-            path = recording.hip[:, finger, axis]
-            jitter = jitter_of(path)
+        for axes in (ALL, (0,), (1,), (2,)):
+            path = recording.hip[:, finger, axes]
+            jitter = np.array([jitter_of(along) for along in path.T])
             resting = [r for r in rests(path, recording.hip_t, jitter) if r[1] - r[0] > _ALWAYS * len(path)]
-            facing = np.abs(evidence.normal[:, finger, axis]).mean() > 0.5
-            if facing and any(moves(recording, finger, axis, *rest, jitter) for rest in resting):
+            facing = axes != ALL and np.abs(evidence.normal[:, finger, axes[0]]).mean() > 0.5
+            moving = any(moves(recording, finger, axes[0], *rest, jitter[0]) for rest in resting)
+            if resting and (axes == ALL or (facing and moving)):
                 sentence = (
-                    f"{AXES[axis]} of finger {finger} stays at {path[0]:.6g} m all the time, outside of all surfaces, "
-                    f"while its force reaches {strongest:.3g} N: its encoder looks stuck, if the scene is in its place"
+                    f"{_stays(finger, axes, path[0])} all the time, outside of all surfaces, while its force reaches "
+                    f"{strongest:.3g} N: {_looks(axes)}, if the scene is in its place"
                 )
                 found.append(Finding("hip", "stuck encoder", sentence, count=len(path)))
+                break
     return found
 
 
-def rests(path: np.ndarray, times: np.ndarray, jitter: float) -> Iterator[tuple[int, int]]:
-    """The first and last samples of each long rest of one axis' path (T,): but for jitter, or an encoder's one step."""
-    still = maximum_filter1d(path, _MANY) - minimum_filter1d(path, _MANY) <= jitter
+def rests(path: np.ndarray, times: np.ndarray, jitter: np.ndarray) -> Iterator[tuple[int, int]]:
+    """The first and last samples of each long rest of a path (T, n) along all its axes at once: but for jitter (n,), or an
+    encoder's one step."""
+    spread = maximum_filter1d(path, _MANY, axis=0) - minimum_filter1d(path, _MANY, axis=0)
+    still = (spread <= jitter).all(axis=1)
     same = np.concatenate([[False], maximum_filter1d(still, _MANY), [False]])
     starts, ends = np.flatnonzero(~same[:-1] & same[1:]), np.flatnonzero(same[:-1] & ~same[1:]) - 1
     for first, last in zip(starts.tolist(), ends.tolist(), strict=True):
@@ -94,10 +126,14 @@ def rests(path: np.ndarray, times: np.ndarray, jitter: float) -> Iterator[tuple[
 
 
 def jitter_of(path: np.ndarray) -> float:
-    """Within how many metres an axis rests."""
+    """Within how many metres an axis (T,) rests."""
+    return max(_JITTER, min(1.01 * _step(path), _MOST_JITTER))
+
+
+def _step(path: np.ndarray) -> float:
+    """The least by which an axis (T,) ever moves, m."""
     steps = np.abs(np.diff(path))
-    least = float(steps[steps > 0].min()) if steps.any() else 0.0
-    return max(_JITTER, min(1.01 * least, _MOST_JITTER))
+    return float(steps[steps > 0].min()) if steps.any() else 0.0
 
 
 def moves(recording: Recording, finger: int, axis: int, first: int, last: int, jitter: float) -> bool:
@@ -139,10 +175,43 @@ class _Felt:
         self.strength, self.pressed = evidence.strength[:, finger], evidence.pressed[:, finger]
         self.face: tuple[np.ndarray, np.ndarray] | None = None
 
-    def against(self, axis: int, begin: float, end: float) -> str | None:
-        """What the force says against a rest of an axis; None where it says nothing."""
+    def against(self, axes: tuple[int, ...], begin: float, end: float) -> str | None:
+        """What the force says against a rest of axes; None where it says nothing."""
         times = self.evidence.times
         rows = slice(int(np.searchsorted(times, begin)), int(np.searchsorted(times, end, "right")))
+        return self._changed(rows) if axes == ALL else self._against(axes[0], rows)
+
+    def _changed(self, rows: slice) -> str | None:
+        """A force that changes, on what does not move, by more than it can within a finger's jitter or an encoder's step.
+
+        It may fade to half: what is pressed on may yield.
+        """
+        evidence, places, finger = self.evidence, self.evidence.places, self.finger
+        path = evidence.recording.hip
+        assert evidence.force is not None and path is not None
+        if len(self.depth[rows]) < FEW or not places.fixed[rows, finger].all() or not self.pressed.any():
+            return None
+        steps = [min(_step(along), _MOST_STEP) for along in path[:, finger].T]
+        reach = float(np.linalg.norm(np.ptp(places.point[rows, finger], axis=0)) + np.linalg.norm(steps))
+        force = median_filter(evidence.force[rows, finger], (5, 1))
+        first = force[0]
+        faded = np.clip(force @ first / max(float(first @ first), 1e-300), 0.5, 1.0)
+        change = float(np.linalg.norm(force - faded[:, None] * first, axis=-1).max())
+        typical = float(np.median(self.strength[self.pressed]))
+        if change <= max(_PULL * evidence.noise, 2 * self._stiffness() * reach, 0.2 * typical):
+            return None
+        return f"while its force changes by {change:.3g} N"
+
+    def _stiffness(self) -> float:
+        """What the finger's force is over its depth, N/m; where it touches nothing, the scene's."""
+        inside = np.where(self.touching, self.depth, 0)
+        if not inside.any():
+            surfaces = [o.surface for o in self.evidence.scene.object.values() if o.surface is not None]
+            return max(float(surface.stiffness) for surface in surfaces)
+        return float(np.sum(self.strength * inside) / np.sum(inside**2))
+
+    def _against(self, axis: int, rows: slice) -> str | None:
+        """What the force says against a rest of one axis."""
         if (said := self._beyond(axis, rows)) is not None:
             return said
         felt = self.touching[rows]

@@ -23,6 +23,7 @@ CHANNELS = ("force", "pose")
 _LARGEST = 1e6  # N or m
 LOST = 1e6  # the whitened residual of what the model cannot follow
 _MOST_STEPS = 10_000_000  # almost three hours at 1 kHz
+_LONG_AGO = 1e8  # s since 1970: in 1973
 PERFECT = Sensors()
 AT_REST: Mapping[str, Start] = MappingProxyType({})  # where the scene puts things
 
@@ -311,13 +312,20 @@ def _on_grid(times: np.ndarray, hip: np.ndarray, dt: float, name: str) -> tuple[
     )
 
 
+def _epoch(times, start: float) -> str:
+    """What is said where one of two clocks counts from 1970 and the other does not."""
+    if (times[0] > _LONG_AGO) == (start > _LONG_AGO):
+        return ""
+    return f"; {'its clock' if times[0] > _LONG_AGO else 'the clock of hip'} looks like Unix time"
+
+
 def _samples(times, values, start: float, dt: float, length: int, dtype, name: str) -> Samples:
     place = (times - start) / dt
     inside = (place >= -1e-6) & (place <= length - 1 + 1e-6)
     if not inside.any():
         raise InputError(
-            f"{name}_t runs from {times[0]:g} to {times[-1]:g} s; allowed: times within those of hip, "
-            f"{start:g} to {start + dt * (length - 1):g} s"
+            f"{name}_t runs from {times[0]:.10g} to {times[-1]:.10g} s; allowed: times within those of hip, "
+            f"{start:.10g} to {start + dt * (length - 1):.10g} s, counted from the same moment{_epoch(times, start)}"
         )
     place = np.clip(place[inside], 0, length - 1)
     index = np.minimum(np.floor(place).astype(np.int32), length - 2)

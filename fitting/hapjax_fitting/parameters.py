@@ -167,13 +167,15 @@ def _for_each(
 
 
 def paths_of(scene: Root, free: Selector) -> list[str]:
-    """The paths of what is free. **Raises:** `InputError` where there are none."""
+    """The paths of what is free. **Raises:** `InputError` where there are none, or one is empty."""
     if callable(free):
         paths = _selected_paths(scene.scene if isinstance(scene, Setup) else scene, free)
     else:
         paths = [free] if isinstance(free, str) else list(free)
     if not paths:
         raise InputError("free is empty; allowed: at least one parameter's path")
+    if not all(str(path).strip() for path in paths):
+        raise InputError("free has an empty path; allowed: paths, such as object.cube.surface.mu")
     return paths
 
 

@@ -5,12 +5,19 @@ import pytest
 from fitting_cases import MU, floor
 from hapjax import InputError
 from hapjax_fitting.arguments import check_names, check_recordings
+from hapjax_fitting.parameters import paths_of
 
 
 @pytest.mark.parametrize("free", [3, [MU, 3], [None]])
 def test_free_numbers_without_a_name_are_refused(free):
     with pytest.raises(InputError, match="free names (3|None); allowed: paths"):
         check_names(free)
+
+
+@pytest.mark.parametrize("free", ["", [MU, " "]])
+def test_an_empty_path_is_refused(free):
+    with pytest.raises(InputError, match="free has an empty path; allowed: paths, such as object"):
+        paths_of(floor(), free)
 
 
 def test_what_is_not_by_name_is_refused():

@@ -49,4 +49,7 @@ def test_a_fit_says_so():
     noise = SIGMA * drifting(150, 0.8)[0][:, None]
     recording = Recording(hip=path, hip_t=t, force=forces(floor(), path) + noise, force_t=t)
     result = fit(floor(), recording, BOTH, starts=1)
-    assert [finding.kind for finding in result.findings] == ["correlated residuals"]
+    assert [finding.kind for finding in result.findings] == ["misfit", "correlated residuals"]
+    assert "estimated; most" in str(result.findings[0]) and "unless noise errs alike" in str(
+        result.findings[0]
+    )

@@ -73,6 +73,19 @@ def test_a_path_that_is_made_to_rest_along_an_axis_gives_no_finding():
     assert found(Recording(hip=path, hip_t=t, force=force, force_t=t), friction=True) == (set(), "")
 
 
+@pytest.mark.parametrize(("step", "fades"), [(1e-4, 1.0), (1e-4, 0.6), (1e-9, 0.6)])
+def test_a_hand_that_rests_gives_no_finding(step, fades):
+    """Its force changes within one step of the encoder, or as what is pressed on yields."""
+    t, random = 1e-3 * np.arange(1000), np.random.default_rng(5)
+    depth = np.interp(t, [0, 0.1, 0.9, 1], [-5e-4, 3.2e-4, 3.2e-4, -5e-4])
+    depth += 3e-5 * np.sin(40 * t) * np.clip(step / 1e-4, 0, 1)
+    path = np.stack([0 * t, 0 * t, -depth], axis=-1)[:, None]
+    force = forces(floor(stiffness=1e4), path) * np.interp(t, [0.1, 0.9], [1, fades])[:, None, None]
+    force += 0.02 * random.standard_normal(force.shape)
+    pressed = Recording(hip=step * np.round(path / step), hip_t=t, force=force, force_t=t)
+    assert found(pressed, floor(stiffness=2e3)) == (set(), "")
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_motions_that_come_again_look_the_same_at_other_times_but_no_better(seed):
     """Strokes at one rate, and an object that swings: noise alone is told apart from a clock that is shifted."""
@@ -106,6 +119,20 @@ def dead(recording, axis):
     hip = recording.hip.copy()
     hip[:, 0, axis] = hip[len(hip) // 2, 0, axis]
     return replace(recording, hip=hip)
+
+
+def asleep(recording, until=2 / 3, fingers=(0,)):
+    """All axes of fingers, from a third on."""
+    hip = recording.hip.copy()
+    third = len(hip) // 3
+    hip[third : int(until * len(hip)), fingers] = hip[third, fingers]
+    return replace(recording, hip=hip)
+
+
+def exchanged(recording):
+    """A sensor that is mounted a quarter turn off."""
+    x, y, z = np.moveaxis(recording.force, -1, 0)
+    return replace(recording, force=np.stack([y, -x, z], axis=-1))
 
 
 def silent(recording):
@@ -146,10 +173,33 @@ LIES = {
         "no finger touches",
     ),
     "force unplugged": (silent, ("no force", "force"), "above its noise"),
+    "finger stuck for a while": (asleep, ("stuck encoder", "hip"), "all of finger 0 stays at"),
+    "force in milliseconds": (
+        lambda r: replace(r, force_t=1e3 * r.force_t),
+        ("time unit", "force"),
+        "look like milliseconds",
+    ),
     "x stuck for a while": (lambda r: frozen(r, 0), ("stuck encoder", "hip"), "x of finger 0 stays"),
     "x stuck but for jitter": (lambda r: frozen(r, 0, 1e-6), ("stuck encoder", "hip"), "x of finger 0 stays"),
 }
 FLOOR_LIES = {
+    "x of force reversed": (
+        lambda r: replace(r, force=r.force * [-1.0, 1.0, 1.0]),
+        ("force sign", "force"),
+        "x of the force of finger 1 points",
+    ),
+    "z of one force reversed": (
+        lambda r: replace(r, force=r.force * [[[1.0, 1.0, -1.0], [1.0] * 3]]),
+        ("force sign", "force"),
+        "so read, x of the force of finger 0 points",
+    ),
+    "force a quarter turn off": (exchanged, ("force axes", "force"), "its -y, x, z read as the world's"),
+    "finger stuck to the end": (lambda r: asleep(r, 1.0), ("stuck encoder", "hip"), "its force changes by"),
+    "fingers stuck to the end": (
+        lambda r: asleep(r, 1.0, (0, 1)),
+        ("stuck encoder", "hip"),
+        "all of finger 1 stays",
+    ),
     "z stuck for a while": (lambda r: frozen(r, 2), ("stuck encoder", "hip"), "z of finger 0 stays"),
     "z stuck but for jitter": (lambda r: frozen(r, 2, 1e-6), ("stuck encoder", "hip"), "z of finger 0 stays"),
     "force late by more than half": (
@@ -214,6 +264,7 @@ BARE_LIES = {
         "fingers in millimetres",
         "millinewtons",
         "kilonewtons",
+        "finger stuck for a while",
         "x stuck for a while",
         "x stuck but for jitter",
     )

@@ -187,7 +187,17 @@ POSE = dict(pose=np.array([[1, 0, 0, 1.0, 0, 0, 0]]), pose_t=np.zeros(1))
         (
             ball(),
             HIP | dict(force=np.zeros((2, 1, 3)), force_t=np.array([5.0, 6.0])),
-            "^run: force_t runs from 5 to 6 s",
+            "^run: force_t runs from 5 to 6 s; allowed: .* 0 to 0.002 s, counted from the same moment$",
+        ),
+        (
+            ball(),
+            HIP | dict(force=FORCE["force"], force_t=1763859600.5 + FORCE["force_t"]),
+            "^run: force_t runs from 176385960. to .*; its clock looks like Unix time$",
+        ),
+        (
+            ball(),
+            FORCE | dict(hip=HIP["hip"], hip_t=1763859600 + HIP["hip_t"]),
+            "^run: force_t runs from 0 to .*; the clock of hip looks like Unix time$",
         ),
         (
             ball(),
