@@ -4,6 +4,9 @@ from .at_once import compute_at_once as compute_at_once
 from .body import Body as Body
 from .contact import Contact as Contact
 from .errors import InputError as InputError
+from .exchange import load_model as load_model
+from .exchange import save_mjcf as save_mjcf
+from .exchange import save_urdf as save_urdf
 from .friction import Cone as Cone
 from .friction import Dahl as Dahl
 from .friction import Karnopp as Karnopp

@@ -14,7 +14,9 @@ from .benchmark import benchmark
 from .demo import demo
 from .devices import devices
 from .doctor import doctor
+from .export import export
 from .fit import fit
+from .import_model import import_model
 from .recover import recover
 from .run import run as run_session
 from .simulate import simulate
@@ -26,6 +28,8 @@ COMMANDS = {
     "simulate": simulate,
     "fit": fit,
     "benchmark": benchmark,
+    "export": export,
+    "import": import_model,
     "recover": recover,
     "devices": devices,
     "doctor": doctor,

@@ -7,6 +7,7 @@ from scipy.optimize import brentq
 
 from ...body import Body
 from ...contact import Contact
+from ...exchange.softness import mujoco_solref
 from ...scene import Object, Scene, World
 from ...shape import Plane, Sphere
 from ._case import HOLDS, Case, G, Gradient, Mujoco, Order
@@ -179,6 +180,7 @@ BOUNCE = Case(
 # At rest -------------------------------------------------------------------------------------------------------
 
 YIELDING, IMPEDANCE = 2000.0, 0.5
+_SOLREF = mujoco_solref(YIELDING, 1 / MASS, 100.0, IMPEDANCE)
 
 SINK = Case(
     name="sink",
@@ -197,7 +199,7 @@ SINK = Case(
     mujoco=Mujoco(
         # At rest MuJoCo's depth is (1 - impedance) g / stiffness, its stiffness being one over a mass.
         f"""<mujoco><option gravity="0 0 {-G}"/><default>
-        <geom solref="{-(1 - IMPEDANCE) * YIELDING / MASS} -100" solimp="{IMPEDANCE} {IMPEDANCE} 1 0.5 1"/>
+        <geom solref="{_SOLREF[0]} {_SOLREF[1]}" solimp="{IMPEDANCE} {IMPEDANCE} 1 0.5 1"/>
         </default><worldbody><geom type="plane" size="9 9 1"/><body pos="0 0 {RADIUS}">
         <joint type="slide" axis="0 0 1"/><geom type="sphere" size="{RADIUS}" mass="{MASS}"/></body></worldbody></mujoco>""",
         read=lambda model, data: -data.qpos[:1],

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from ... import rotation
 from ...body import Body
 from ...contact import Contact
+from ...exchange.softness import mujoco_solref
 from ...scene import Object, Scene, World
 from ...shape import Box, Plane
 from ._case import HOLDS, Case, G, Mujoco, Order
@@ -55,6 +56,8 @@ TIP = Case(
 # How it lies: the same whatever law its impacts lose energy by --------------------------------------------------
 
 LATER, IMPEDANCE, LOSS = 1.5, 0.5, 100.0  # s; MuJoCo's impedance and damping, 1/s
+# Its stiffness is one over a mass, as in the case of the ball at rest, here that of a corner.
+_SOLREF = mujoco_solref(STIFFNESS, 1 / MASS, LOSS, IMPEDANCE)
 _TURN = " ".join(str(x) for x in TILT.as_quat(scalar_first=True))
 
 
@@ -74,9 +77,8 @@ TIP_REST = Case(
     truth=lambda: np.array([HALF - MASS * G / (4 * STIFFNESS), 0, 0, HALF]),
     known="closed form, flat on four corners that yield by m g / 4 k",
     mujoco=Mujoco(
-        # Its stiffness is one over a mass, as in the case of the ball at rest, here that of a corner.
         f"""<mujoco><option gravity="0 0 {-G}" cone="elliptic" impratio="10"/><default>
-        <geom solref="{-(1 - IMPEDANCE) * STIFFNESS / MASS} {-LOSS}" solimp="{IMPEDANCE} {IMPEDANCE} 1 0.5 1"
+        <geom solref="{_SOLREF[0]} {_SOLREF[1]}" solimp="{IMPEDANCE} {IMPEDANCE} 1 0.5 1"
         friction="{MU} 0.005 0.0001"/></default><worldbody><geom type="plane" size="9 9 1"/>
         <body pos="0 0 {_LOWEST}" quat="{_TURN}"><freejoint/>
         <geom type="box" size="{HALF} {HALF} {HALF}" mass="{MASS}"/></body></worldbody></mujoco>""",

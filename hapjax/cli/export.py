@@ -1,0 +1,46 @@
+"""`hapjax export`."""
+
+import sys
+from pathlib import Path
+from typing import Literal
+
+import jax
+from tyro.conf import Positional
+
+from ..errors import InputError
+from ..exchange import save_mjcf, save_urdf
+from ..scene_file import load_scene
+
+
+def export(
+    scene: Positional[Path],
+    *,
+    to: Literal["mjcf", "urdf"],
+    out: Path | None = None,
+    object: str | None = None,
+) -> None:
+    """Write a scene as MJCF, for MuJoCo, or one of its objects as URDF: mass, inertia, friction, stiffness, damping.
+
+    Meshes are written beside it, as OBJ files. What of the scene the format has no word for is said.
+    Example: hapjax export cube.toml --to mjcf --out cube.xml
+
+    Args:
+        scene: Scene file (TOML).
+        to: The format.
+        out: File to write (.xml for MJCF, .urdf); absent: the scene's name with that ending.
+        object: Of urdf: which object; absent: the only one that moves.
+    """
+    target = scene.with_suffix(".xml" if to == "mjcf" else ".urdf") if out is None else out
+    if target.resolve() == scene.resolve():
+        raise InputError(f"{target}: is the scene; allowed: another file")
+    with jax.enable_x64(True):
+        loaded = load_scene(scene)
+        if to == "urdf":
+            left_out = save_urdf(loaded, target, object)
+        elif object is None:
+            left_out = save_mjcf(loaded, target)
+        else:
+            raise InputError(f"--object is {object!r} with --to mjcf; allowed: with --to urdf")
+    for sentence in left_out:
+        print(f"hapjax: {scene}: {sentence}", file=sys.stderr)
+    print(target)

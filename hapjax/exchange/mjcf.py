@@ -1,0 +1,166 @@
+"""Scenes as MJCF, for MuJoCo."""
+
+import os
+import xml.etree.ElementTree as ET
+
+import numpy as np
+
+from ..body import Body, centre_within, inertia_of
+from ..scene import Object, Scene
+from ..shape import Box, Capsule, Cylinder, Mesh, Plane, Shape, Sphere
+from ..surface import Surface
+from ..torsion import SoftFinger
+from .left_out import left_out_of_scene, left_out_of_surface
+from .markup import document, model_path, words
+from .softness import IMPEDANCE, linear_damping, mujoco_solref, one_mu
+from .wavefront import mesh_name, replacing_with_meshes
+
+_SHORTEST = (
+    0.2  # rad of a contact's swing in a time step: MuJoCo takes the spring at the beginning of the step
+)
+
+
+def save_mjcf(scene: Scene, path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Write a scene as MJCF, meshes as OBJ files beside it; whole or not at all.
+
+    A contact becomes a `pair`; what is not named in one passes through, as in the scene. A surface becomes the geom's own
+    friction and softness, which win over those of whatever else is put into the model. Stiffness is mapped by
+    `K = (1 - d) k A`, damping by `B = c (g + 4 v w / (3 pi))`, as `solref="-K -B"` with the impedance d = 0.1, where
+    A = 1/m1 + 1/m2, w^2 = k A and v = 0.1 m/s; mu is MuJoCo's sliding friction on an elliptic cone.
+
+    **Arguments:** `path`: a file ending in `.xml`.
+
+    **Returns:** what of the scene MJCF has no word for, a sentence each.
+
+    **Raises:** `InputError` where a file cannot be written.
+    """
+    path = model_path(path, ".xml")
+    root = ET.Element("mujoco", model=path.stem)
+    _options(root, scene)
+    meshes = [name for name, thing in scene.object.items() if isinstance(thing.shape, Mesh)]
+    if meshes:
+        assets = ET.SubElement(root, "asset")
+        for name in meshes:
+            ET.SubElement(assets, "mesh", name=name, file=mesh_name(path, name))
+    world = ET.SubElement(root, "worldbody")
+    for name, thing in scene.object.items():
+        _body(world, scene, name, thing)
+    if scene.contact:
+        _pairs(ET.SubElement(root, "contact"), scene)
+    with replacing_with_meshes(path, scene.object.items()) as file:
+        file.write(document(root))
+    return tuple(_left_out(scene))
+
+
+def _options(root: ET.Element, scene: Scene) -> None:
+    gravity = (0, 0, 0) if scene.world.gravity is None else scene.world.gravity
+    step = float(scene.integrator.dt) / scene.integrator.substeps
+    for name, thing in scene.object.items():
+        surfaces = [thing.surface, *(pair for pair in scene.contact.values() if name in pair.between)]
+        for surface in surfaces:
+            if thing.body is not None and surface is not None:
+                swing = np.sqrt(float(surface.stiffness) / float(thing.body.mass))
+                step = min(step, _SHORTEST / swing)
+    # Friction in MuJoCo is a damper, which creeps: the last two make it small, and the last takes it out.
+    ET.SubElement(
+        root,
+        "option",
+        gravity=words(gravity),
+        timestep=words(step),
+        cone="elliptic",
+        impratio="10",
+        noslip_iterations="10",
+    )
+
+
+def _body(world: ET.Element, scene: Scene, name: str, thing: Object) -> None:
+    turn = np.asarray(thing.orientation, np.float64)
+    place = {"pos": words(thing.position), "quat": words(turn / np.linalg.norm(turn))}
+    body = ET.SubElement(world, "body", {"name": name, **place})
+    if thing.body is not None:
+        _joints(body, name, thing.body)
+        _inertial(body, thing.body, thing.shape)
+    # Geoms with the conaffinity 1 and no contype touch what a user puts in, whose contype is 1 too, and not each other.
+    touched = {"contype": "0", "conaffinity": "0" if thing.surface is None else "1"}
+    friction = {} if thing.surface is None else _friction(scene, thing.surface, thing.body)
+    ET.SubElement(body, "geom", {"name": name, **_form(thing.shape, name), **touched, **friction})
+
+
+def _joints(body: ET.Element, name: str, moving: Body) -> None:
+    if moving.rotation:
+        ET.SubElement(body, "freejoint", name=name)
+        return
+    for axis, way in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"), strict=True):
+        ET.SubElement(body, "joint", name=f"{name}_{axis}", type="slide", axis=way)
+
+
+def _inertial(body: ET.Element, moving: Body, shape: Shape) -> None:
+    centre, inertia = centre_within(moving, shape), np.asarray(inertia_of(moving, shape))
+    about: dict[str, str] = {"pos": words((0, 0, 0) if centre is None else centre)}
+    if inertia.ndim == 1:
+        about["diaginertia"] = words(inertia)
+    else:
+        about["fullinertia"] = words(np.diagonal(inertia), inertia[0, 1:], inertia[1, 2])
+    ET.SubElement(body, "inertial", {"mass": words(moving.mass), **about})
+
+
+def _form(shape: Shape, name: str) -> dict[str, str]:
+    """Type and size of a geom: half of the edges and of the length."""
+    match shape:
+        case Plane():
+            return {"type": "plane", "size": "0 0 1"}  # without end
+        case Sphere():
+            return {"type": "sphere", "size": words(shape.radius)}
+        case Box():
+            return {"type": "box", "size": words(shape.size / 2)}
+        case Cylinder() | Capsule():
+            kind = "cylinder" if isinstance(shape, Cylinder) else "capsule"
+            return {"type": kind, "size": words(shape.radius, shape.length / 2)}
+    return {"type": "mesh", "mesh": name}
+
+
+def _friction(scene: Scene, surface: Surface, body: Body | None) -> dict[str, str]:
+    """What the geom of an object gives to any contact with what is not in the scene, taken as fixed or far heavier."""
+    twist = scene.torsion.torsional_mu if isinstance(scene.torsion, SoftFinger) else None
+    mu, dimensions = one_mu(surface), "3" if twist is None else "4"
+    given = {
+        "priority": "1",
+        "condim": dimensions,
+        "friction": words(mu, 0.0 if twist is None else twist, 0.0),
+    }
+    return given if body is None else given | _softness(scene, surface, 1 / float(body.mass))
+
+
+def _softness(scene: Scene, surface: Surface, mobility: float) -> dict[str, str]:
+    damping = linear_damping(surface, mobility, scene.world)
+    solref = mujoco_solref(float(surface.stiffness), mobility, damping)
+    return {"solref": words(solref), "solimp": words(IMPEDANCE, IMPEDANCE, 1.0, 0.5, 1.0)}
+
+
+def _pairs(contact: ET.Element, scene: Scene) -> None:
+    for name, pair in scene.contact.items():
+        first, second = pair.between
+        bodies = [scene.object[each].body for each in pair.between]
+        mobility = sum(1 / float(body.mass) for body in bodies if body is not None)
+        mu = one_mu(pair)
+        given = {"name": name, "geom1": first, "geom2": second, "condim": "3"}
+        ET.SubElement(
+            contact,
+            "pair",
+            {**given, "friction": words(mu, mu, 0.0, 0.0, 0.0), **_softness(scene, pair, mobility)},
+        )
+
+
+def _left_out(scene: Scene):
+    yield from left_out_of_scene(scene, soft_fingers=True)
+    for name, thing in scene.object.items():
+        if isinstance(thing.shape, Mesh) and thing.shape.is_hollow:
+            yield f"object.{name}.shape bends inward somewhere: MuJoCo's contacts are with its convex hull"
+        if thing.surface is None:
+            continue
+        yield from left_out_of_surface(thing.surface, f"object.{name}.surface", kinetic=False)
+        if thing.body is None:
+            path = f"object.{name}.surface.stiffness"
+            yield f"{path} is left out: MuJoCo's depends on the mass of what touches a fixed object"
+    for name, pair in scene.contact.items():
+        yield from left_out_of_surface(pair, f"contact.{name}", kinetic=False)
