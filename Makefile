@@ -40,12 +40,12 @@ docs: .venv/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf .venv site dist build hapjax-demo .pytest_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf .venv .cache site dist build hapjax-demo .pytest_cache .ruff_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 .venv/.installed-demo: EXTRAS := fitting,devices,mesh
-.venv/.installed-dev: EXTRAS := fitting,devices,falcon,inverse3,mesh,posterior,recording,bench,dev
-.venv/.installed-docs: EXTRAS := docs
+.venv/.installed-dev: EXTRAS := fitting,devices,falcon,inverse3,mesh,posterior,recording,viewer,bench,dev
+.venv/.installed-docs: EXTRAS := docs,fitting
 
 .venv/.installed-%: pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing hapjax with [$(EXTRAS)] into .venv ..."
