@@ -5,18 +5,25 @@ from typing import Any
 
 import numpy as np
 
-DECADES, LEAST = 1.5, 3  # the finest decades of dt that a fit takes, and the least number of points
+DECADES, LEAST = 1.5, 4  # the finest decades of dt that a fit takes, and the least number of points
+AGREE = 0.1  # by how much orders from step to step differ at most, where errors go like one power of dt
 STEEPEST = 6.0  # no rule here is of an order above 4: where errors grow faster with dt, a run is unstable
 ROUNDING = 10 * np.finfo(float).eps  # of a step, in units of what is compared
 
 
 def fitted_order(
-    dts: Iterable[float], errors: Iterable[float | None], seconds: float, floor: float, gain: float = 1.0
+    dts: Iterable[float],
+    errors: Iterable[float | None],
+    seconds: float,
+    floor: float,
+    gain: float = 1.0,
+    scatters: bool = True,
 ) -> float | None:
     """The slope of log error over log dt in the finest 1.5 decades in which errors stand above noise, and runs are stable.
 
     The noise is `floor`, to which the truth is known, or the rounding of as many steps, times the `gain` with which it grows
-    by the end. `None`: fewer than three points.
+    by the end. Where chance does not make errors `scatter`, only so many of the finest steps count that the orders from each
+    to the next AGREE: coarser ones do not yet go like a power of dt. `None`: fewer than four points.
     """
     kept = sorted(
         (dt, e)
@@ -29,6 +36,10 @@ def fitted_order(
     fit = fit[fit[:, 0] <= fit[0, 0] + DECADES + 0.005]
     jumps = np.flatnonzero(np.diff(fit[:, 1]) > STEEPEST * np.diff(fit[:, 0]))
     fit = fit[: jumps[0] + 1] if len(jumps) else fit
+    if not scatters:
+        each = np.diff(fit[:, 1]) / np.diff(fit[:, 0])
+        spread = np.maximum.accumulate(each) - np.minimum.accumulate(each)
+        fit = fit[: 1 + np.count_nonzero(spread <= AGREE)]
     return float(np.polyfit(fit[:, 0], fit[:, 1], 1)[0]) if len(fit) >= LEAST else None
 
 

@@ -45,6 +45,7 @@ class Sweep:
 
     Steps are counted, not timed: which dt are run, and so the orders, do not depend on the machine. A derivative scatters
     more than a state by where in a step a touch begins, so it is averaged over more runs, each of a tenth of the steps.
+    Where an error does not scatter one run of each dt is enough, which may have as many steps as any.
     """
 
     dts: Sequence[float]
@@ -53,21 +54,24 @@ class Sweep:
     most: int
     gradients: bool = True
 
-    def longest(self, integrator: str) -> int:
-        """The most steps of a run; of `implicit`, a step of which takes long, a fifth."""
-        return self.most // 5 if integrator == "implicit" else self.most
+    def longest(self, integrator: str, scatters: bool = True) -> int:
+        """The most steps of a run; of `implicit`, a step of which takes long, a fifth where several are averaged."""
+        return self.most // 5 if integrator == "implicit" and scatters else self.most
 
-    def has_gradient(self, integrator: str, steps: int) -> bool:
+    def has_gradient(self, integrator: str, steps: int, scatters: bool) -> bool:
         """Whether the derivative of so many steps is run."""
-        return self.gradients and steps <= (self.most // 5 if integrator == "implicit" else self.most // 10)
+        most = self.longest(integrator, scatters)
+        return self.gradients and steps <= (most // 10 if scatters and integrator != "implicit" else most)
 
-    def runs(self, integrator: str, steps: int) -> list[int]:
+    def runs(self, integrator: str, steps: int, scatters: bool) -> list[int]:
         """The numbers of steps whose errors are averaged: more of them where they are short."""
+        if not scatters:
+            return [steps]
         number = self.around * self.longest(integrator) / steps
         return neighbours(steps, int(np.clip(number, self.around, MORE * self.around)))
 
 
-FULL = Sweep([*np.logspace(-2, -5.75, 16)], [*np.logspace(-2, -4.5, 11)], 6, 300_000)
+FULL = Sweep([*np.logspace(-2, -6, 17)], [*np.logspace(-2, -4.5, 11)], 6, 300_000)
 QUICK = Sweep([*np.logspace(-2, -4.5, 8)], [*np.logspace(-2, -4, 5)], 0, 60_000, gradients=False)
 
 
@@ -164,9 +168,10 @@ class Program:
     def timed(self, steps: int) -> float:
         """The least s of a run, of several; short ones go round in one call, so that the call does not count."""
         first = self.run(steps)[1]
+        if first >= LONG:
+            return first
         rounds = int(min(max(np.ceil(ROUND / first), 1), 1000))
-        repeats = REPEATS if rounds * first < LONG else 1
-        return min(self.run(steps, rounds=rounds)[1] for _ in range(repeats))
+        return min(self.run(steps, rounds=rounds)[1] for _ in range(REPEATS))
 
     def compile_gradient(self) -> Callable[[int], np.ndarray]:
         """The program of the derivative in the case's leaf, by forward mode, for a number of steps."""
@@ -221,15 +226,17 @@ def curve(
     if case.gradient is not None and sweep.gradients:
         slope, known = program.compile_gradient(), case.gradient.truth()
         size = float(np.linalg.norm(known))
+    scatters = case.scatters(integrator)
     for steps in steps_of(case.seconds, sweep.dts):
-        if points and steps > sweep.longest(integrator):
+        if points and steps > sweep.longest(integrator, scatters):
             break
-        around = sweep.runs(integrator, steps)
+        around = sweep.runs(integrator, steps, scatters)
         values = [program.run(n)[0] for n in around]
         laws = [program.run(n, rigid=True)[0] for n in around] if case.rigid else values
         slopes = None
-        if slope is not None and known is not None and sweep.has_gradient(integrator, steps):
-            slopes = [difference(slope(n) / size, known / size) for n in around]
+        if slope is not None and known is not None and sweep.has_gradient(integrator, steps, not case.smooth):
+            averaged = sweep.runs(integrator, steps, not case.smooth)
+            slopes = [difference(slope(n) / size, known / size) for n in averaged]
         points.append(
             Point(
                 case.seconds / steps,

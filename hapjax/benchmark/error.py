@@ -187,7 +187,7 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: A
         ours[name], order = points, case.order(name)
         curves[name] = {
             "compile_s": compile_s,
-            **orders(points, case, floor, order.value is not None),
+            **orders(points, case, name, floor, order.value is not None),
             "theory": order.value,
             "gradient_theory": case.gradient_order(name),
             "reason": order.reason,
@@ -221,14 +221,17 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: A
     }
 
 
-def orders(points: Sequence[Point], case: Case, floor: float, has_order: bool) -> dict[str, float | None]:
-    """The orders; where theory has none, errors are rounding, or those of runs that blow up."""
-    dts = [p.dt for p in points]
+def orders(
+    points: Sequence[Point], case: Case, name: str, floor: float, has_order: bool
+) -> dict[str, float | None]:
+    """The orders of an integrator; where theory has none, errors are rounding, or those of runs that blow up."""
+
+    def fitted(errors: list[float | None], floor: float, scatters: bool) -> float | None:
+        return fitted_order([p.dt for p in points], errors, case.seconds, floor, case.gain, scatters)
+
     return {
-        "order": fitted_order(dts, [p.error for p in points], case.seconds, floor, case.gain)
-        if has_order
-        else None,
-        "gradient_order": fitted_order(dts, [p.gradient_error for p in points], case.seconds, SOLVED),
+        "order": fitted([p.error for p in points], floor, case.scatters(name)) if has_order else None,
+        "gradient_order": fitted([p.gradient_error for p in points], SOLVED, not case.smooth),
     }
 
 

@@ -48,14 +48,13 @@ class Mujoco:
 class Gradient:
     """The derivative of what is compared in one leaf of the scene: `where` it is, its `name`, and the `truth`.
 
-    `along`: the direction, of a leaf with several numbers. `smooth`: no slide ends and no touch begins.
+    `along`: the direction, of a leaf with several numbers.
     """
 
     name: str
     where: Callable[[Scene], Any]
     truth: Callable[[], np.ndarray]
     along: Any = 1.0
-    smooth: bool = False
 
 
 def _far(t: Any) -> Any:
@@ -77,6 +76,7 @@ class Case:
       themselves. `None`: as it is.
     - `known`: where the truth comes from, in words.
     - `orders`: of integrators whose order differs here.
+    - `smooth`: no touch begins and no slide ends on the way, so that errors do not depend on where in a step that happens.
     - `gain`: by how much a step's rounding grows by the end: of a fast body, about the angle (rad) that it turns, since what
       its spin is off by goes on turning it.
     - `mujoco`: the model, or why there is none.
@@ -102,6 +102,7 @@ class Case:
     rigid: Callable[[Scene, float], Scene] | None = None
     gradient: Gradient | None = None
     orders: Mapping[str, Order] = field(default_factory=dict)
+    smooth: bool = False
     gain: float = 1.0
     ticks: int | None = None
 
@@ -115,7 +116,15 @@ class Case:
         order = self.order(integrator).value
         if self.gradient is None or order is None:
             return None
-        return order if self.gradient.smooth else 1
+        return order if self.smooth else 1
+
+    def scatters(self, integrator: str) -> bool:
+        """Whether the error of the state depends on chance: on where in a step a touch begins or a slide ends.
+
+        That moves the end by dt^2, next to nothing where the rule's own error goes like dt. The rigid law's scatters always.
+        """
+        first = ORDERS.get(integrator, 1) == self.order(integrator).value == 1
+        return not self.smooth and (not first or self.rigid is not None)
 
 
 def turned(motion: Motion) -> Any:

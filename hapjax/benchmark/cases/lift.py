@@ -96,6 +96,7 @@ SLIP = Case(
     measure=lambda state: state.motion["block"].position[2:],
     truth=lambda: np.array([-SPEED * SECONDS - (G - G / 1.01) * SECONDS**2 / 2]),
     known="closed form, a = g - sum mu N / m",
+    smooth=True,
     gradient=Gradient(
         "object.block.surface.mu",
         _mu,
@@ -168,9 +169,8 @@ LOAD_STEP = Case(
     measure=lambda state: state.motion["block"].position,
     truth=lambda: _loaded(YIELDING),
     known="independent equations, SciPy's DOP853 at 1e-12",
-    gradient=Gradient(
-        "object.block.surface.stiffness", _stiffness, lambda: slope(_loaded, YIELDING), smooth=True
-    ),
+    smooth=True,
+    gradient=Gradient("object.block.surface.stiffness", _stiffness, lambda: slope(_loaded, YIELDING)),
     mujoco=Mujoco(
         _springs(),
         read=lambda model, data: data.qpos[:3].copy(),

@@ -97,12 +97,12 @@ TOP = Case(
     truth=lambda: turned_mujoco(free_truth()),
     known="closed form, Jacobi's elliptic functions",
     gain=float(np.linalg.norm(SPIN) * SECONDS),
+    smooth=True,
     gradient=Gradient(
         "object.top.body.inertia[0]",
         lambda scene: _body(scene).inertia,
         _free_per_inertia,
         along=(1, 0, 0),
-        smooth=True,
     ),
     mujoco=Mujoco(
         """<mujoco><option gravity="0 0 0"/><worldbody><body><freejoint/>
@@ -162,9 +162,8 @@ HEAVY_TOP = Case(
     truth=lambda: _heavy(MASS),
     known="independent equations, SciPy's DOP853 at 1e-12",
     gain=FAST * SPUN,
-    gradient=Gradient(
-        "object.top.body.mass", lambda scene: _body(scene).mass, lambda: slope(_heavy, MASS), smooth=True
-    ),
+    smooth=True,
+    gradient=Gradient("object.top.body.mass", lambda scene: _body(scene).mass, lambda: slope(_heavy, MASS)),
     mujoco=Mujoco(
         f"""<mujoco><option gravity="0 0 {-G}"/><worldbody>
         <site name="finger" pos="{_FINGER[0]} {_FINGER[1]} {_FINGER[2]}"/>
