@@ -18,6 +18,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from .errors import InputError
+from .god_object import Touch
 from .paths import number_at, part_at
 from .scene import Scene, dtype_of
 from .simulate import State, init, known, step, step_known
@@ -45,6 +46,7 @@ class PackedStep:
     unravel: Callable[[Array], State]
     compile_s: float
     live: dict[str, slice]
+    rest: Callable[[Array], tuple[Array, dict[str, Touch], dict[str, Touch]]]
 
     def force(self, memory: Array) -> np.ndarray:
         """The forces (F, 3) in N on the fingers, world frame, that a call ended with."""
@@ -57,6 +59,10 @@ class PackedStep:
     def state(self, memory: Array) -> State:
         """The memory as a State."""
         return self.unravel(memory)
+
+    def touches(self, memory: Array) -> dict[str, Touch]:
+        """What each finger did on each touchable object in the call: `Reply.touch`."""
+        return self.rest(memory)[1]
 
 
 def pack(
@@ -95,7 +101,7 @@ def pack(
             given = known(eqx.tree_at(lambda s: [part_at(s, path) for path in live], given, values))
         after, reply = step_known(given, unravel(memory), hip, period, gimbal)
         kept = [memory[first : ends[-1]]] if live else []
-        # The touches have no reader, but what the compiler leaves out changes how it rounds what is left.
+        # Touches of contacts have no reader, but what the compiler leaves out changes how it rounds what is left.
         rest = ravel_pytree((reply.pose, reply.touch, reply.contact))[0].astype(dtype)
         lost = reply.lost.astype(dtype)[None]
         return jnp.concatenate([reply.force.ravel(), ravel_pytree(after)[0], *kept, rest, lost])
@@ -104,10 +110,13 @@ def pack(
         return build(memory[3 * fingers : first])
 
     _, answer = jax.eval_shape(step, scene, state, np.zeros((fingers, 3), dtype), dt, gimbal)
-    answered = sum(leaf.size for leaf in jax.tree.leaves(answer)) - 1  # with the forces, without what is lost
+    answered = jax.tree.map(lambda x: jnp.zeros(x.shape, dtype), (answer.pose, answer.touch, answer.contact))
+    blank, as_answered = ravel_pytree(answered)
     held = [number.ravel() for number in numbers.values()]
-    start = [jnp.zeros(3 * fingers, dtype), flat, *held, jnp.zeros(answered - 3 * fingers + 1, dtype)]
-    start = jnp.concatenate(start)
+    start = jnp.concatenate([jnp.zeros(3 * fingers, dtype), flat, *held, blank, jnp.zeros(1, dtype)])
+
+    def rest(memory: Array) -> tuple[Array, dict[str, Touch], dict[str, Touch]]:
+        return as_answered(memory[ends[-1] : -1])
 
     def begin(hip: Float[Any, "F 3"], gimbal: Float[Any, "F"] | None = None) -> np.ndarray:
         memory = np.array(start)
@@ -121,7 +130,7 @@ def pack(
     inputs = [jax.ShapeDtypeStruct(shape, dtype) for shape in shapes]
     call = partial(jax.jit(packed).lower(arrays, start, *inputs).compile(), arrays)
     compile_s = time.perf_counter() - began
-    return PackedStep(call, begin, start, fingers, np.dtype(dtype), unravel, compile_s, places)
+    return PackedStep(call, begin, start, fingers, np.dtype(dtype), unravel, compile_s, places, rest)
 
 
 def _handed(tree: Any) -> tuple[tuple[Array, list[Array]], Callable[..., Any]]:

@@ -2,6 +2,7 @@
 
 from .attached import Attached as Attached
 from .attached import attached as attached
+from .browser import BrowserDevice as BrowserDevice
 from .bus import About as About
 from .bus import Broadcast as Broadcast
 from .bus import Numbers as Numbers
@@ -38,4 +39,5 @@ from .sensor import PoseTracker as PoseTracker
 from .servo import ServoResult as ServoResult
 from .servo import run as run
 from .tremor import Tremor as Tremor
+from .viewer import ViewerProcess as ViewerProcess
 from .virtual import VirtualDevice as VirtualDevice

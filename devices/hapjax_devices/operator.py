@@ -108,9 +108,7 @@ class Operator:
 
         **Raises:** `InputError` for a point that is not three finite numbers, and a duration not above 0.
         """
-        end = np.array(point, np.float64)
-        if end.shape != (3,) or not np.all(np.isfinite(end)):
-            raise InputError(f"point is {np.asarray(point).tolist()}; allowed: three finite numbers in m")
+        end = _point(point)
         if not 0 < duration < np.inf:
             raise InputError(f"duration is {duration} s; allowed: above 0")
         count = max(1, round(duration / self._period))
@@ -121,6 +119,19 @@ class Operator:
             *(-15 * way + 8 * first + 1.5 * second, 6 * way - 3 * first - 0.5 * second),
         ]
         self._passage = self._sample, count, np.array(coefficients)
+
+    def follow(self, point: ArrayLike, speed: float) -> None:
+        """From now on the hand wants to be at `point` (m), and goes there straight at `speed` (m/s), in place of its path.
+
+        **Raises:** `InputError` for a point that is not three finite numbers, and a speed not above 0.
+        """
+        end = _point(point)
+        if not 0 < speed < np.inf:
+            raise InputError(f"speed is {speed} m/s; allowed: above 0")
+        place = self.goal
+        way = end - place
+        count = max(1, int(np.ceil(np.sqrt(way @ way) / (speed * self._period))))
+        self._passage = self._sample, count, np.array([place, way])
 
     def _goal_moves(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The goal's place, velocity and acceleration now, in samples."""
@@ -139,6 +150,13 @@ class Operator:
             return np.asarray(polyval(min((sample - begun) / length, 1.0), coefficients))
         count = len(self._path)
         return self._path[sample % count if self._again else min(sample, count - 1)]
+
+
+def _point(point: ArrayLike) -> Float[np.ndarray, "3"]:
+    found = np.array(point, np.float64)
+    if found.shape != (3,) or not np.all(np.isfinite(found)):
+        raise InputError(f"point is {np.asarray(point).tolist()}; allowed: three finite numbers in m")
+    return found
 
 
 def waypoints(

@@ -6,7 +6,6 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from itertools import count
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -15,6 +14,7 @@ from hapjax import InputError, Scene
 from hapjax.recording import Recording
 
 from .bus import About, Broadcast, Inbox, TickPublisher
+from .bus.about import pose_places
 from .device import Device, DeviceError, GimbalDevice
 from .ending import Ending
 from .event import Diary, Event
@@ -154,8 +154,7 @@ def run(
         control = None if passivity is None else PassivityControl(passivity, 1 / rate, hip)
         bus = inbox = None
         if broadcast is not None:
-            places = _pose_places(packed).tolist() if scene.moving() else []
-            about = About.of(broadcast.run, rate, scene, packed, places, devices, len(gimbals))
+            about = About.of(broadcast.run, rate, scene, packed, devices, len(gimbals))
             bus = last.enter_context(TickPublisher(about))
             last.callback(_tell_all, diary, bus)
             inbox = stack.enter_context(Inbox(about, scene, bus)) if live else None
@@ -321,7 +320,7 @@ class _Log:
             self._force = np.zeros((-(-kept // self._force_every), packed.fingers, 3))
         if pose_tracker is not None:
             self._pose_every = _every("pose_tracker", pose_tracker.rate, rate)
-            self._pose_at = _pose_places(packed)
+            self._pose_at = pose_places(packed)
             self._pose = np.zeros((kept // self._pose_every, *self._pose_at.shape))
 
     def add(self, tick: int, hip, angle, force, output, memory) -> None:
@@ -368,14 +367,6 @@ def _kept(ring: Float[np.ndarray, "K ..."], count: int) -> tuple[np.ndarray, np.
     """Of so many rows that were put into a ring the numbers of those that it has still, and these rows."""
     rows = np.arange(max(0, count - len(ring)), count)
     return rows, ring[rows % len(ring)]
-
-
-def _pose_places(packed: hapjax.PackedStep) -> np.ndarray:
-    """Where in the memory the numbers of each object's pose are, (O, 7)."""
-    # The memory's own places, taken apart as if they were a state. Unpacking itself is too slow for the loop.
-    places = packed.state(jnp.arange(len(packed.start), dtype=packed.dtype))
-    rows = [np.concatenate([m.position, m.orientation]) for m in places.motion.values()]
-    return np.stack(rows).astype(int)
 
 
 def _ticks(duration: float | None, rate: float) -> int | None:

@@ -10,11 +10,13 @@ from ..extras import need
 from ..scene_file import load_scene
 from ..tuning.settings import Tuning, tuned_by_default
 
+HOST, PORT = "127.0.0.1", 8080  # of a viewer's page
+
 
 def run(
     scene: Positional[Path],
     *,
-    device: tuple[Literal["virtual", "falcon", "inverse3"], ...] = (),
+    device: tuple[Literal["virtual", "browser", "falcon", "inverse3"], ...] = (),
     devices: Path | None = None,
     rate: float = 1000.0,
     seconds: float | None = None,
@@ -27,6 +29,9 @@ def run(
     truth: Path | None = None,
     window: float = 4.0,
     adopt: FlagCreatePairsOff[bool] = False,
+    view: FlagCreatePairsOff[bool] = False,
+    host: str = HOST,
+    port: int = PORT,
     display: float = 1.0,
     json: Path | None = None,
 ) -> int:
@@ -51,6 +56,10 @@ def run(
         truth: Of --tune: scene file of the object that simulated sensors measure under the same fingers.
         window: Of --tune: how many of the last seconds a fit is to, 1 to 60.
         adopt: Of --tune: hand over each estimate, unasked.
+        view: Show it on a page in the browser, with sliders for the live numbers (absent: mu, stiffness, mass, A_crit); with
+            a device `browser`, whose fingers the mouse moves there, always.
+        host: Of --view: address of the page; on another than 127.0.0.1 anyone who reaches it can move fingers and sliders.
+        port: Of --view: port of the page, 0 for any that is free.
         display: Lines a second on a terminal, 0.1 to 10.
         json: File for the figures.
     """
@@ -68,4 +77,8 @@ def run(
     readers = 1 + (record is not None) + tune
     options = {"rate": rate, "seconds": seconds, "live": live, "passivity": passivity, "readers": readers}
     wanted = session.Session.of(name, scene, device, devices, hip, **options)
-    return session.supervise(wanted, record, display, json, tuning)
+    if not (view or wanted.by_mouse):
+        if (host, port) != (HOST, PORT):
+            raise InputError("--host and --port are of --view; allowed: with it")
+        return session.supervise(wanted, record, display, json, tuning)
+    return session.supervise(wanted.viewed(), record, display, json, tuning, (host, port))

@@ -112,7 +112,7 @@ def inbox():
     scene = table(np.float32)
     packed = hapjax.pack(scene, np.zeros((1, 3), np.float32), live=(MU, STIFFNESS))
     name = f"inbox-{os.getpid()}"
-    about = devices.About.of(name, 1000.0, scene, packed, [], [], 0)
+    about = devices.About.of(name, 1000.0, scene, packed, [], 0)
     with devices.TickPublisher(about) as bus, Inbox(about, scene, bus) as made:
         node = services.join(name)
         port = services.numbers(node, name, about.numbers).open().publisher_builder().create()
@@ -155,7 +155,7 @@ def test_of_several_the_newest_counts_and_the_same_again_is_no_news(inbox):
 
 def test_a_run_without_live_numbers_says_so():
     about = devices.About.of(
-        f"no-live-{os.getpid()}", 1000.0, table(), hapjax.pack(table(), np.zeros((1, 3))), [], [], 0
+        f"no-live-{os.getpid()}", 1000.0, table(), hapjax.pack(table(), np.zeros((1, 3))), [], 0
     )
     with devices.TickPublisher(about) as bus:
         thread = threading.Thread(target=bus.wait_for, args=(1, 1.5))

@@ -2,9 +2,14 @@
 
 import json
 import os
+import re
 import signal
+import struct
 import threading
 import time
+from ipaddress import ip_address
+from pathlib import Path
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -162,6 +167,57 @@ def test_what_is_estimated_is_handed_over_when_asked_and_no_tick_is_lost(table, 
         assert along.max() == pytest.approx(held * normal.max(), abs=5e-3)
 
 
+@pytest.mark.slow
+def test_a_viewer_listens_on_this_computer_alone_and_its_death_leaves_the_servo_going(
+    table, monkeypatch, capfd
+):
+    pytest.importorskip("viser", reason="the viewer needs the extra viewer")
+    name, viewers, real = f"viewed-{os.getpid()}", [], supervisor.viewer.ViewerProcess
+
+    def start(*arguments):
+        viewers.append(real(*arguments))
+        return viewers[-1]
+
+    monkeypatch.setattr(supervisor.viewer, "ViewerProcess", start)
+    said = []
+
+    def look():
+        with TickReader(name, 60.0) as reader:
+            until = time.monotonic() + 60
+            while not (found := re.search(r"http://127\.0\.0\.1:(\d+)\n", "".join(said))):
+                assert time.monotonic() < until and reader.is_alive()
+                time.sleep(0.1)
+                said.append(capfd.readouterr().out)
+            with urlopen(found[0].strip(), timeout=30) as page:
+                said.append(page.read().decode())
+            assert listening(viewers[0].pid) == {("127.0.0.1", int(found[1]))}
+            assert reader.about.live.keys() == {f"object.table.surface.{n}" for n in ("mu", "stiffness")}
+            os.kill(viewers[0].pid, signal.SIGKILL)
+            reader.take()
+            ticks_until(reader, 300)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    thread, failed = meanwhile(look)
+    code = main(["run", str(table), "--name", name, "--device", "virtual", "--view", "--port", "0"])
+    thread.join()
+    assert not failed and code == 1, failed
+    assert "<html" in said[-1] and "the viewer has ended (exit code -9); the servo" in capfd.readouterr().err
+
+
+def listening(process):
+    """The addresses at which a process listens for TCP."""
+    own = {os.readlink(f"/proc/{process}/fd/{n}") for n in os.listdir(f"/proc/{process}/fd")}
+    found = set()
+    for version, word in (("tcp", "<I"), ("tcp6", "<4I")):
+        for line in Path(f"/proc/net/{version}").read_text().splitlines()[1:]:
+            _, local, _, state, *_, inode = line.split()[:10]
+            if state == "0A" and f"socket:[{inode}]" in own:
+                host, port = local.split(":")
+                packed = struct.pack(word, *struct.unpack(word.replace("<", ">"), bytes.fromhex(host)))
+                found.add((str(ip_address(packed)), int(port, 16)))
+    return found
+
+
 def test_asked_to_end_before_it_begins_it_ends(table, tmp_path, monkeypatch, capfd):
     real, record = supervisor.ServoProcess, tmp_path / "a.mcap"
 
@@ -197,6 +253,12 @@ REFUSED = {
     "no truth": (["run", "table.toml", "--tune"], ["--tune", "--truth"]),
     "no tuning": (["run", "table.toml", "--adopt"], ["--adopt", "--tune"]),
     "a truth that is none": (["run", "table.toml", "--tune", "--truth", "none.toml"], ["none.toml"]),
+    "no viewer": (["run", "table.toml", "--port", "0"], ["--port", "--view"]),
+    "a port": (["run", "table.toml", "--view", "--port", "65536"], ["port is 65536", "0"]),
+    "an address": (
+        ["run", "table.toml", "--device", "browser", "--host", "192.0.2.1"],
+        ["192.0.2.1", "address"],
+    ),
     "a rate": (["run", "table.toml", "--rate", "5000"], ["rate is 5000", "100 to 4000"]),
 }
 

@@ -12,7 +12,15 @@ import pytest
 import hapjax
 from bus_cases import about
 from hapjax import InputError
-from hapjax_devices import DeviceError, Falcon, GimbalDevice, Inverse3, RecoverableDevice, VirtualDevice
+from hapjax_devices import (
+    BrowserDevice,
+    DeviceError,
+    Falcon,
+    GimbalDevice,
+    Inverse3,
+    RecoverableDevice,
+    VirtualDevice,
+)
 from hapjax_devices.session import Session, process
 from hapjax_devices.session.figures import Figures, Spread
 from hapjax_devices.session.motion import FOLLOWING
@@ -87,6 +95,24 @@ def test_the_device_file_that_is_shown_is_taken(places):
     assert given == {"type", *(key for keys in KEYS.values() for key in keys)}  # all that there are
 
 
+def test_a_mouse_moves_fingers_where_a_session_has_such_devices(places):
+    made = session(places, "cube", kinds=("browser", "virtual"))
+    assert made.by_mouse and not session(places).by_mouse
+    by_mouse, other = made.made()
+    assert isinstance(by_mouse, BrowserDevice) and isinstance(other, VirtualDevice)
+    with by_mouse:
+        np.testing.assert_allclose(by_mouse.read(), [-0.035, 0, 0], atol=1e-4)  # beside the cube
+    slow = session(places, devices="[[device]]\ntype = 'browser'\nrate = 500").made()[0]
+    assert isinstance(slow, Slower) and isinstance(slow.device, BrowserDevice)
+
+
+def test_a_viewer_has_numbers_for_its_sliders_unless_some_are_given(places):
+    felt = ("object.cube.surface.mu", "object.cube.surface.stiffness", "object.cube.body.mass")
+    assert session(places, "cube").viewed().live == felt
+    assert session(places, "gimbals").viewed().live == (*felt, "torsion.critical_area")
+    assert session(places, "cube", live=felt[:1]).viewed().live == felt[:1]
+
+
 def test_devices_are_virtual_unless_told_otherwise(places):
     assert [table["type"] for table in session(places).devices] == ["virtual"] * 3
     assert [table["type"] for table in session(places, kinds=("virtual",) * 5).devices] == ["virtual"] * 5
@@ -95,7 +121,7 @@ def test_devices_are_virtual_unless_told_otherwise(places):
 BAD_FILES = {
     "": ["0 devices", "1 to 5"],
     "[[device]]\ntype = 'virtual'\n" * 6: ["6 devices", "1 to 5"],
-    "[[device]]\ntype = 'wand'": ["device[0].type is 'wand'", "virtual, falcon, inverse3"],
+    "[[device]]\ntype = 'wand'": ["device[0].type is 'wand'", "virtual, browser, falcon, inverse3"],
     "[[device]]\nserial = 'x'": ["device[0].type is None"],
     "[[device]]\ntype = 'virtual'\nserial = 'x'": ["device[0].serial is not known of a virtual"],
     "[[device]]\ntype = 'falcon'\nserial = 3": ["device[0].serial is 3", "text"],

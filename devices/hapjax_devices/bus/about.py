@@ -3,16 +3,19 @@
 import json
 import os
 import time
+import tomllib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import tomli_w
+from jaxtyping import Array
 
 from hapjax import InputError, PackedStep, Scene
-from hapjax.scene_file import scene_to_dict
+from hapjax.scene_file import scene_from_dict, scene_to_dict
 from hapjax.shape import Mesh
 
 from ..device import Device
@@ -29,7 +32,8 @@ class About:
     qw qx qy qz are, `pose_at`; the `devices`, described; `scene`, its scene file's text, and the `files` that it names,
     each with where it lies; `unsaid`, why there is no scene; the id of the `process`; when it began by the wall clock
     (`wall_ns`, ns since 1970) and by the clock of its ticks (`clock_ns`); of each `live` number's path from where to
-    where in the memory it is.
+    where in the memory it is; of each object that fingers feel where there are, of all fingers and in its frame, `point`
+    and `depth` of `GodObject` and all of `Touch`, `touch_at`.
     """
 
     run: str
@@ -48,6 +52,7 @@ class About:
     wall_ns: int
     clock_ns: int
     live: dict[str, tuple[int, int]] = field(default_factory=dict)
+    touch_at: dict[str, dict[str, list]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -56,12 +61,12 @@ class About:
         rate: float,
         scene: Scene,
         packed: PackedStep,
-        pose_at: Sequence[Sequence[int]],
         devices: Sequence[Device],
         gimbals: int,
     ) -> "About":
         """What is to be said of a run of this process that begins now."""
         text, files, unsaid = scene_file(scene)
+        pose_at = pose_places(packed).tolist() if scene.moving() else []
         return cls(
             run,
             rate,
@@ -79,6 +84,7 @@ class About:
             time.time_ns(),
             time.perf_counter_ns(),
             {path: (place.start, place.stop) for path, place in packed.live.items()},
+            _touch_places(packed),
         )
 
     @property
@@ -130,6 +136,18 @@ class About:
         return cls(**said)
 
 
+def scene_of(about: About) -> Scene:
+    """The scene that a run says it has. **Raises:** `InputError` where it cannot say."""
+    if not about.scene:
+        raise InputError(
+            f"the run {about.run} does not say what its scene is ({about.unsaid}); allowed: one that does"
+        )
+    folder = None
+    for name, place in about.files.items():
+        folder = Path(place).parents[len(Path(name).parts) - 1]
+    return scene_from_dict(tomllib.loads(about.scene), folder)
+
+
 def described(device: Device) -> dict[str, Any]:
     """What a device says of itself."""
     kind = type(device)
@@ -139,6 +157,28 @@ def described(device: Device) -> dict[str, Any]:
         "force_limit": float(device.force_limit),  # N
         "resolution": float(device.resolution),  # m
     }
+
+
+def pose_places(packed: PackedStep) -> np.ndarray:
+    """Where in the memory the numbers of each moving object's pose are, (O, 7)."""
+    state = packed.state(_places(packed))
+    rows = [np.concatenate([m.position, m.orientation]) for m in state.motion.values()]
+    return np.stack(rows).astype(int)
+
+
+def _touch_places(packed: PackedStep) -> dict[str, dict[str, list]]:
+    """Where in the memory the touches on each object are."""
+    gods, touches = packed.state(_places(packed)).finger, packed.touches(_places(packed))
+    found = {}
+    for name, god in gods.items():
+        parts = {"point": god.point, "depth": god.depth, **vars(touches[name])}
+        found[name] = {part: np.asarray(at).astype(int).tolist() for part, at in parts.items()}
+    return found
+
+
+def _places(packed: PackedStep) -> Array:
+    # The memory's own places, taken apart as if they were a state. Unpacking itself is too slow for the loop.
+    return jnp.arange(len(packed.start), dtype=packed.dtype)
 
 
 def scene_file(scene: Scene) -> tuple[str, dict[str, str], str]:

@@ -1,19 +1,16 @@
 """Live numbers of a run's scene: set from any process, taken by the servo between two ticks."""
 
 import time
-import tomllib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hapjax import InputError, Scene
 from hapjax.paths import number_at, with_numbers
-from hapjax.scene_file import scene_from_dict
 
 from . import services
-from .about import About
+from .about import About, scene_of
 from .publisher import TickPublisher
 from .reader import TickReader
 
@@ -115,7 +112,7 @@ class Numbers:
         if not self.about.live:
             self._reader.close()
             raise InputError(f"the run {run} has no live numbers; allowed: a run that was begun with some")
-        self._scene = _scene(self.about)
+        self._scene = scene_of(self.about)
         self._node = services.join(run)
         with services.said(f"the live numbers of {run}"):
             self._service = services.numbers(self._node, run, self.about.numbers).open()
@@ -174,18 +171,6 @@ class Numbers:
     def _note(self, memory: np.ndarray) -> None:
         for path, (first, end) in self.about.live.items():
             self._now[path] = memory[first:end].reshape(self._now[path].shape)
-
-
-def _scene(about: About) -> Scene:
-    """The scene that a run says it has. **Raises:** `InputError` where it cannot say."""
-    if not about.scene:
-        raise InputError(
-            f"the run {about.run} does not say what its scene is ({about.unsaid}); allowed: one that does"
-        )
-    folder = None
-    for name, place in about.files.items():
-        folder = Path(place).parents[len(Path(name).parts) - 1]
-    return scene_from_dict(tomllib.loads(about.scene), folder)
 
 
 def _low(scene: Scene, path: str) -> float:

@@ -25,6 +25,8 @@ TEXT = 480  # bytes of an event's sentence
 EVENT = np.dtype(
     [("tick", "<i8"), ("time_ns", "<i8"), ("finger", "<i8"), ("kind", "S16"), ("text", f"S{TEXT}")]
 )
+FINGERS = 5  # that a mouse can move at a time
+HANDS = np.dtype([("goals", "<f8", (FINGERS, 3))])  # m, NaN of those that it does not
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}")
 
 
@@ -87,6 +89,14 @@ def numbers(node: Any, run: str, sample: np.dtype) -> Any:
     builder = builder.publish_subscribe(payload("Numbers", sample)).enable_safe_overflow(True)
     builder = builder.history_size(0).subscriber_max_buffer_size(SENDERS).max_subscribers(1)
     return builder.max_publishers(SENDERS).max_nodes(4 * SENDERS)
+
+
+def hands(node: Any, run: str) -> Any:
+    """The service by which a viewer says where the fingers that a mouse moves are to be."""
+    builder = node.service_builder(iceoryx().ServiceName.new(f"{run}/hands"))
+    builder = builder.publish_subscribe(payload("Hands", HANDS)).enable_safe_overflow(True)
+    builder = builder.history_size(0).subscriber_max_buffer_size(2).max_subscribers(FINGERS)
+    return builder.max_publishers(2).max_nodes(4 * FINGERS).open_or_create()
 
 
 def send(port: Any, name: str, record: np.ndarray) -> None:

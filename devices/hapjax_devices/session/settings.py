@@ -1,7 +1,7 @@
 """What a session is: all that its processes have to know, as text that one process can give another."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,7 @@ from typing import Any
 from hapjax import InputError, Scene, load_scene
 from hapjax.paths import number_at
 from hapjax.recording import Recording
+from hapjax.tuning.settings import tuned_by_default
 
 from ..bus import services
 from ..device import Device, GimbalDevice
@@ -72,10 +73,24 @@ class Session:
         """The scene. **Raises:** `InputError`."""
         return load_scene(self.scene)
 
+    @property
+    def by_mouse(self) -> bool:
+        """Whether a finger is on a browser device, which needs a viewer."""
+        return any(table["type"] == "browser" for table in self.devices)
+
+    def viewed(self) -> "Session":
+        """The session for a viewer: with live numbers for its sliders, mu, stiffness, mass, A_crit, unless it has some."""
+        scene, paths = self.loaded, [*self.live]
+        if not paths:
+            paths = [*tuned_by_default(scene), *(f"object.{name}.body.mass" for name in scene.moving())]
+            if hasattr(scene.torsion, "critical_area"):
+                paths.append("torsion.critical_area")
+        return replace(self, live=tuple(paths))
+
     def made(self) -> list[Device]:
         """The devices, of which none is opened. **Raises:** `InputError`."""
         recording = self.recording()
-        return made(self.devices, self.loaded, self.rate, recording)
+        return made(self.devices, self.run, self.loaded, self.rate, recording)
 
     def recording(self) -> Recording | None:
         """The motion that virtual fingers follow, where it was recorded. **Raises:** `InputError`."""

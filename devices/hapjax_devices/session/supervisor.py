@@ -14,6 +14,7 @@ from hapjax import InputError
 from hapjax.files import check_writable, replacing
 from hapjax.tuning.settings import Tuning
 
+from .. import viewer
 from ..bus import TickReader
 from ..recorder import RecorderProcess
 from .figures import Figures
@@ -29,7 +30,12 @@ _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
 def supervise(
-    session: Session, record: Path | None, display: float, file: Path | None, tuning: Tuning | None = None
+    session: Session,
+    record: Path | None,
+    display: float,
+    file: Path | None,
+    tuning: Tuning | None = None,
+    view: tuple[str, int] | None = None,
 ) -> int:
     """Run a session until its time is over, or Ctrl-C or SIGTERM comes; returns the exit code.
 
@@ -38,7 +44,7 @@ def supervise(
 
     **Arguments:** `session`; `record`, a new file that it is recorded to; `display`, how many lines a second are printed on
     a terminal, 0.1 to 10; `file` for the figures; `tuning`, what is to be estimated meanwhile: it is handed over at
-    SIGUSR1, and where Enter is pressed in the terminal.
+    SIGUSR1, and where Enter is pressed in the terminal; `view`, host and port of a viewer's page.
 
     **Raises:** `InputError`, before anything is started.
     """
@@ -50,8 +56,10 @@ def supervise(
         tuning.check(session.loaded, len(session.devices))
     if file is not None:
         check_writable(file)
+    if view is not None:
+        viewer.check(*view)
     with _asked() as asked:
-        watch = _Watch(session, record, Display(display if sys.stdout.isatty() else 0.0), tuning)
+        watch = _Watch(session, record, Display(display if sys.stdout.isatty() else 0.0), tuning, view)
         code = watch.until(asked)
     figures = watch.figures()
     _summary(figures)
@@ -81,11 +89,19 @@ class Display:
 class _Watch:
     """A session's processes, and what is known of them."""
 
-    def __init__(self, session: Session, record: Path | None, display: Display, tuning: Tuning | None):
+    def __init__(
+        self,
+        session: Session,
+        record: Path | None,
+        display: Display,
+        tuning: Tuning | None,
+        view: tuple[str, int] | None,
+    ):
         self._session, self._record, self._display = session, record, display
         self._recorder = None if record is None else RecorderProcess(session.run, record, _PATIENCE)
         self._servo = ServoProcess(session)
         self._tuner = None if tuning is None else TunerProcess(tuning)
+        self._viewer = None if view is None else viewer.ViewerProcess(session.run, *view, _PATIENCE)
         self._tuned: list[dict[str, Any]] = []
         self._figures = Figures(len(session.devices))
         self._said: list[dict[str, Any]] = []
@@ -109,6 +125,8 @@ class _Watch:
             code = self._ended()
         if self._tuner is not None:
             self._tuner.end()
+        if self._viewer is not None:
+            self._viewer.end(_END)
         unbegun = code == 128 + signal.SIGTERM or (code < 0 and reader is None)
         if _to_end(asked) and unbegun:
             code = 0
@@ -152,6 +170,9 @@ class _Watch:
                 _say(f"{event.tick / self._session.rate:.3f} s: {event.sentence}")
         if self._recorder is not None and not self._recorder.is_alive():
             self._finish_recording(False)
+        if self._viewer is not None and self._viewer.code():  # 0: it has seen the run's end
+            _say(f"the viewer has ended (exit code {self._viewer.code()}); the servo goes on")
+            self._viewer, self._failed = None, True
         if self._figures.ticks:
             self._display.show(lambda: self._figures.line(self._session.rate))
 

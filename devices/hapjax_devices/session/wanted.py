@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,12 @@ from hapjax import InputError, Scene
 from hapjax.errors import within
 from hapjax.recording import Recording
 
+from ..browser import BrowserDevice
 from ..device import Device
 from ..falcon import Falcon
 from ..inverse3 import Inverse3
 from ..placement import Placement
+from ..virtual import VirtualDevice
 from .motion import virtual_finger
 from .slower import Slower
 
@@ -22,6 +25,7 @@ MOST = 5  # devices of a session
 _PLACE = ("position", "orientation")
 KEYS = {  # that a table of each type may have
     "virtual": ("rate",),
+    "browser": ("rate",),
     "falcon": ("rate", "serial", "firmware", "homing_time", *_PLACE),
     "inverse3": ("rate", "device_id", "force_limit", "message_format", "url", *_PLACE),
 }
@@ -50,9 +54,9 @@ def wanted(kinds: tuple[str, ...], file: Path | None, recording: Recording | Non
 
 
 def made(
-    tables: list[dict[str, Any]], scene: Scene, rate: float, recording: Recording | None
+    tables: list[dict[str, Any]], run: str, scene: Scene, rate: float, recording: Recording | None
 ) -> list[Device]:
-    """The devices of these tables, of which none is opened; `rate` of the loop, Hz.
+    """The devices of these tables, of which none is opened; `run`, the session's name, and `rate` of its loop, Hz.
 
     **Raises:** `InputError`, which names the device by its place, for values out of range.
     """
@@ -60,7 +64,10 @@ def made(
     for place, table in enumerate(tables):
         with within(f"device[{place}]: "):
             own = table.get("rate", rate)
-            build = {"virtual": _virtual, "falcon": _falcon, "inverse3": _inverse3}[table["type"]]
+            browser = partial(_browser, run, place, 1 / own)
+            build = {"virtual": _virtual, "browser": browser, "falcon": _falcon, "inverse3": _inverse3}[
+                table["type"]
+            ]
             if not 10 <= own <= rate:
                 raise InputError(f"rate is {own} Hz; allowed: 10 to the session's {rate:g}")
             device = build(
@@ -70,15 +77,21 @@ def made(
     return devices
 
 
-def _virtual(table: Mapping[str, Any], finger: Callable[[], Device]) -> Device:
+def _virtual(table: Mapping[str, Any], finger: Callable[[], VirtualDevice]) -> Device:
     return finger()
 
 
-def _falcon(table: Mapping[str, Any], finger: Callable[[], Device]) -> Device:
+def _browser(
+    run: str, place: int, period: float, table: Mapping[str, Any], finger: Callable[[], VirtualDevice]
+) -> Device:
+    return BrowserDevice(run, place, finger().path[0], period)
+
+
+def _falcon(table: Mapping[str, Any], finger: Callable[[], VirtualDevice]) -> Device:
     return Falcon(placement=_placement(table), **_rest(table))
 
 
-def _inverse3(table: Mapping[str, Any], finger: Callable[[], Device]) -> Device:
+def _inverse3(table: Mapping[str, Any], finger: Callable[[], VirtualDevice]) -> Device:
     if table.get("message_format", "3.1") not in ("3.1", "3.5"):
         raise InputError(f"message_format is {table['message_format']!r}; allowed: '3.1', '3.5'")
     return Inverse3(placement=_placement(table), **_rest(table))

@@ -1,0 +1,89 @@
+"""Plots of the last seconds: force over time, and each finger in the plane of normal force and friction."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from .moments import Moments
+from .stage import FINGERS
+
+SECONDS, RATE = 5.0, 100.0  # s that are shown, Hz: what a screen can tell apart
+PERIOD = 0.1  # s between two drawings
+NOWHERE = -1.0  # N, below the plot: what is not a number takes the axes with it
+
+
+class Plots:
+    """Two plots in the panel of a viser server.
+
+    **Arguments:** `server`; how many `fingers`.
+    """
+
+    def __init__(self, server: Any, fingers: int):
+        colours = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in FINGERS[:fingers]]
+        names = [f"finger {finger}" for finger in range(fingers)]
+        empty = np.zeros(1)
+        # From 0 on, and to 1 N at least: where nothing is felt an axis of its own choice ends at 100.
+        ends = {"min": {"pad": 0, "soft": 0, "hard": 0, "mode": 1}, "max": {"pad": 0.1, "soft": 1, "mode": 1}}
+        scales = {"x": {"time": False}, "y": {"range": ends}}
+        lines = [{"label": name, "stroke": c, "width": 1.5} for name, c in zip(names, colours, strict=True)]
+        self._force = server.gui.add_uplot(
+            (empty,) * (1 + fingers),
+            ({"label": "s"}, *lines),
+            title="force on the fingers",
+            axes=({"label": "time (s)"}, {"label": "|f| (N)", "size": 60}),
+            scales=scales,
+            aspect=2.2,
+        )
+        dots = [
+            {"label": name, "stroke": c, "width": 0, "points": {"show": True, "size": 4, "fill": c}}
+            for name, c in zip(names, colours, strict=True)
+        ]
+        limits = [
+            {
+                "label": f"mu f_n {finger}",
+                "stroke": c,
+                "width": 1.2,
+                "dash": [6, 4],
+                "points": {"show": False},
+            }
+            for finger, c in enumerate(colours)
+        ]
+        self._cone = server.gui.add_uplot(
+            (empty,) * (1 + 2 * fingers),
+            ({"label": "f_n (N)"}, *dots, *limits),
+            title="friction cone: |f_t| against f_n",
+            axes=({"label": "f_n (N)"}, {"label": "|f_t| (N)", "size": 60}),
+            scales=scales,
+            legend={"show": False},
+            aspect=2.0,
+        )
+
+    def show(self, window: Moments) -> None:
+        """Plot these moments."""
+        self._force.data = (window.time, *np.linalg.norm(window.force, axis=2).T)
+        self._cone.data = cone(window)
+
+
+def cone(window: Moments) -> tuple[Float[np.ndarray, "N"], ...]:
+    """Normal forces in rising order (N), of each finger its friction there, `NOWHERE` where a sample is of another finger,
+    and of each the limit there, mu times the normal force, by its newest touch, `NOWHERE` where there was none."""
+    normal = window.of_deepest(window.normal_force)
+    friction = window.of_deepest(np.linalg.norm(window.friction, axis=-1))
+    limit = window.of_deepest(window.limit)
+    fingers = normal.shape[1]
+    limits = np.full((fingers, 1), np.nan)
+    samples = [(np.zeros(0), np.zeros(0))] * fingers
+    for finger in range(fingers):
+        pressed = normal[:, finger] > 0
+        if pressed.any():
+            newest = np.flatnonzero(pressed)[-1]
+            limits[finger] = limit[newest, finger] / normal[newest, finger]
+        samples[finger] = normal[pressed, finger], friction[pressed, finger]
+    most = max([0.5, *(x.max(initial=0.0) for x, _ in samples)])
+    x = np.concatenate([[0.0], *(x for x, _ in samples), [most]])
+    order, ends = np.argsort(x, kind="stable"), np.cumsum([1, *(len(x) for x, _ in samples)])
+    dots = np.full((fingers, len(x)), NOWHERE)
+    for finger, (_, y) in enumerate(samples):
+        dots[finger, ends[finger] : ends[finger + 1]] = y
+    return x[order], *dots[:, order], *np.nan_to_num(limits * x[order], nan=NOWHERE)
