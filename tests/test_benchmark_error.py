@@ -148,6 +148,7 @@ def test_what_chance_moves_by_dt_squared_scatters_where_errors_are_no_larger():
     assert not KNOWN["top"].scatters("lie_midpoint") and not KNOWN["bounces"].scatters("implicit")
     assert KNOWN["bounces"].scatters("lie_midpoint") and KNOWN["tip"].scatters("lie_midpoint")
     assert KNOWN["restitution"].scatters("pivot")  # of order 2
+    assert KNOWN["tip"].scatters("pivot") and not KNOWN["tip"].scatters("implicit")  # which looks ahead
     assert KNOWN["slide"].scatters("pivot")  # its rigid law
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ... import rotation
 from ...body import Motion
-from ...integrate import Integrator
+from ...integrate import METHODS, Integrator
 from ...scene import Scene
 from ...simulate import State
 
@@ -77,6 +77,7 @@ class Case:
     - `known`: where the truth comes from, in words.
     - `orders`: of integrators whose order differs here.
     - `smooth`: no touch begins and no slide ends on the way, so that errors do not depend on where in a step that happens.
+    - `lands`: points come down with a speed along the surface, and are held where the first step that finds them does.
     - `gain`: by how much a step's rounding grows by the end: of a fast body, about the angle (rad) that it turns, since what
       its spin is off by goes on turning it.
     - `mujoco`: the model, or why there is none.
@@ -103,6 +104,7 @@ class Case:
     gradient: Gradient | None = None
     orders: Mapping[str, Order] = field(default_factory=dict)
     smooth: bool = False
+    lands: bool = False
     gain: float = 1.0
     ticks: int | None = None
 
@@ -121,10 +123,12 @@ class Case:
     def scatters(self, integrator: str) -> bool:
         """Whether the error of the state depends on chance: on where in a step a touch begins or a slide ends.
 
-        That moves the end by dt^2, next to nothing where the rule's own error goes like dt. The rigid law's scatters always.
+        That moves the end by dt^2, next to nothing where the rule's own error goes like dt; by dt where a case `lands`,
+        unless an integrator looks ahead. By the rigid law errors scatter always.
         """
         first = ORDERS.get(integrator, 1) == self.order(integrator).value == 1
-        return not self.smooth and (not first or self.rigid is not None)
+        late = self.lands and not METHODS[integrator].looks_ahead
+        return not self.smooth and (not first or late or self.rigid is not None)
 
 
 def turned(motion: Motion) -> Any:

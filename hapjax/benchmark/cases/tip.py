@@ -45,6 +45,7 @@ TIP = Case(
     scene=_scene,
     measure=lambda state: state.motion["cube"].position,
     known="extrapolated",
+    lands=True,
     mujoco="its impacts lose energy by another law, and where the cube comes to lie depends on that; tip_rest runs there",
     orders={
         "lie_midpoint": Order(
