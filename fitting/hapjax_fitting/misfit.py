@@ -13,18 +13,21 @@ from .problem import Problem, pieces_of
 from .robust import unrooted
 from .sharding import gathered
 
-_BEYOND = 2.0  # noises
+_BEYOND = 2.0  # noises, and
+_RIGHT = 1e-3  # of what was measured: where noise was estimated, it may be next to nothing
 _MEDIAN = 0.6745  # of the size of Gaussian noise, over its standard deviation
 _UNITS = {"force": "N", "position": "m", "angle": "rad"}
 
 
 @dataclass(frozen=True)
 class _Part:
-    """What one recording's residuals in a channel are, in noises: all together, and along the worst axis of a thing."""
+    """What one recording's residuals in a channel are, in noises: all together, and along the worst axis of a thing; and
+    by how much what was measured changes."""
 
     key: str
     place: int
     size: float
+    change: float
     worst: float
     column: int
 
@@ -40,7 +43,8 @@ def misfit(
     parts, found = list(_parts(residuals, problem)), []
     for key in dict.fromkeys(part.key for part in parts):
         all_of = [part for part in parts if part.key == key]
-        beyond = [part for part in all_of if part.size > _BEYOND]
+        least = 0.0 if key in given else _RIGHT / float(getattr(problem.noise, key))
+        beyond = [part for part in all_of if part.size > max(_BEYOND, least * part.change)]
         if not beyond:
             continue
         most = max(beyond, key=lambda part: part.size)
@@ -64,12 +68,16 @@ def _parts(residuals: Float[np.ndarray, " n"], problem: Problem) -> Iterator[_Pa
         kept = ~lost(piece)
         if samples.taken is not None:
             kept &= np.arange(piece.shape[1]) < gathered(samples.taken)[: group.count, None]
+        value = gathered(samples.value)[: group.count, ..., :3]
+        change = np.ptp(value, axis=1).max(axis=(1, 2)) if key != "angle" else np.ones(group.count)
         for row, place in enumerate(group.places.tolist()):
             own = piece[row, kept[row]]
             if len(own):
                 along = np.array([_size(column, problem.loss) for column in own.T])
                 column = int(along.argmax())
-                yield _Part(key, place, _size(own, problem.loss), float(along[column]), column)
+                yield _Part(
+                    key, place, _size(own, problem.loss), float(change[row]), float(along[column]), column
+                )
 
 
 def _size(residuals: Float[np.ndarray, "*n"], loss: str) -> float:

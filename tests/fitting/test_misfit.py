@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -11,8 +12,9 @@ from hapjax_fitting.misfit import misfit
 from hapjax_fitting.problem import residuals_at
 
 
-def said(scene, recordings, free, given=("force",), loss="squares"):
+def said(scene, recordings, free, given=("force",), loss="squares", noise=SIGMA):
     problem = problem_for(scene, recordings, free, loss=loss)
+    problem = replace(problem, noise=replace(problem.noise, force=jnp.asarray(noise)))
     residuals = residuals_at(problem.start(), problem)
     return misfit(residuals, problem, [f"r{i}" for i in range(len(recordings))], given)
 
@@ -24,6 +26,8 @@ def pulled(recording, by, axis=1):
 
 def test_what_the_model_explains_is_no_misfit():
     assert not said(floor(), [recorded(floor(), seed) for seed in range(3)], BOTH)
+    rounded = pulled(recorded(floor(), sigma=0), 1e-3)
+    assert not said(floor(), [rounded], BOTH, (), noise=1e-6) and said(floor(), [rounded], BOTH, noise=1e-6)
 
 
 @pytest.mark.parametrize("given", [("force",), ()])
