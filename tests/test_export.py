@@ -158,8 +158,8 @@ def test_only_named_pairs_touch_and_a_finger_feels_surfaces(tmp_path):
     soft = hapjax.Surface(800.0, mu=0.4, damping=1.0)
     objects = {
         "felt": hapjax.Object(ball, soft, hapjax.Body(MASS)),
-        "one": hapjax.Object(ball, None, hapjax.Body(MASS), (0.01, 0, 0)),
-        "two": hapjax.Object(ball, None, hapjax.Body(3 * MASS), (0.03, 0, 0)),
+        "one": hapjax.Object(ball, None, hapjax.Body(MASS)),
+        "two": hapjax.Object(ball, None, hapjax.Body(3 * MASS), (0.02, 0, 0)),
     }
     pair = hapjax.Contact(STIFFNESS, mu=MU, between=("one", "two"))
     scene = hapjax.Scene(objects, {"pair": pair}, torsion=hapjax.SoftFinger(2e-3, 0.1))

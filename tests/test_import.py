@@ -154,6 +154,14 @@ def same(first, second):
     assert float(first.body.mass) == pytest.approx(float(second.body.mass))
 
 
+def test_names_are_made_such_as_objects_have(tmp_path):
+    geom = "<geom size='1'/>"
+    (tmp_path / "m.xml").write_text(
+        f"<mujoco><worldbody>{geom}{geom}<geom name='geom_2' size='1'/><geom name='2 b-c' size='1'/></worldbody></mujoco>"
+    )
+    assert list(hapjax.load_model(tmp_path / "m.xml").object) == ["geom", "geom_2", "geom_2_2", "_2_b_c"]
+
+
 def test_a_hull_need_not_be_closed(folder):
     trimesh.Trimesh(BOX.vertices, BOX.faces[1:], process=False).export(folder / "parts" / "brick.stl")
     with pytest.raises(hapjax.InputError, match=r"model.xml: body mesh: .*beside a hole"):
