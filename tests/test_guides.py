@@ -28,7 +28,7 @@ def follow(page):
         if title:
             Path(title).write_text(block)
         elif language == "sh":
-            for line in block.splitlines():
+            for line in block.replace("\\\n", " ").splitlines():
                 assert line.startswith(INSTALLING) or command(line) == 0, line
         elif language == "python":
             with contextlib.redirect_stdout(io.StringIO()) as out:

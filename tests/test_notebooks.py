@@ -43,7 +43,7 @@ CLAIMS = {
         (rf"Implicit: after 0.1 s between {NUMBER} and 30 mm", 30, 30),
     ],
     "a_thousand_recordings": [
-        (rf"{NUMBER} recordings of 200 ms", 1000, 1000),
+        (rf"{NUMBER} recordings of 120 ms", 1000, 1000),
         (rf"converged: False\nresiduals {NUMBER} N, noise 0.05", 0.1, 0.2),
         (rf"residuals {NUMBER} N, converged: True", 0.049, 0.051),
         (rf"hold the truth: {NUMBER} of 100", 90, 100),
