@@ -20,6 +20,7 @@ from .import_model import import_model
 from .recover import recover
 from .run import run as run_session
 from .simulate import simulate
+from .view import view
 
 _SHELLS = ("bash", "zsh", "tcsh")
 COMMANDS = {
@@ -27,6 +28,7 @@ COMMANDS = {
     "run": run_session,
     "simulate": simulate,
     "fit": fit,
+    "view": view,
     "benchmark": benchmark,
     "export": export,
     "import": import_model,

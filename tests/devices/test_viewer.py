@@ -13,6 +13,7 @@ from hapjax_devices.bus import About
 from hapjax_devices.viewer import check
 from hapjax_devices.viewer.geometry import from_z, matrices, placed, ring, rods
 from hapjax_devices.viewer.hand import BONE, KNUCKLE, hand
+from viewer_cases import Drawn
 
 pytest.importorskip("viser", reason="the viewer needs the extra viewer")
 
@@ -79,23 +80,6 @@ def test_a_tick_says_where_god_objects_are_and_what_friction_may_be(pressed):
     np.testing.assert_allclose(found.pose[0, 1], [0.2, 0, 0.1, *TURN], atol=1e-7)
     np.testing.assert_allclose(found.pose[0, 2, :3], [0.5, 0, 0.1], atol=1e-7)
     np.testing.assert_allclose(found.critical_area, A_CRIT, rtol=1e-6)
-
-
-class Drawn:
-    """Stands for viser: it remembers what it is told to draw."""
-
-    def __init__(self):
-        self.made = {}
-
-    def __getattr__(self, kind):
-        if not kind.startswith("add_"):
-            raise AttributeError(kind)
-
-        def add(name, *arguments, **options):
-            self.made[name] = SimpleNamespace(arguments=arguments, on_drag=lambda f: f, **options)
-            return self.made[name]
-
-        return add
 
 
 def test_circles_are_as_large_as_forces_and_patches_as_their_areas(pressed):

@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from hapjax import InputError, Scene
 from hapjax.paths import number_at
@@ -39,8 +40,7 @@ class Decoder:
         self._moving = [list(scene.object).index(name) for name in about.objects]
         each = [about.touch_at[name] for name in about.touch_at]
         self._touch_at = {part: np.array([at[part] for at in each]) for part in each[0]} if each else {}
-        rows = [np.concatenate([o.position, _unit(o.orientation)]) for o in scene.object.values()]
-        self._pose = np.array(rows, np.float64)
+        self._pose = at_first(scene)
         torsion = scene.torsion
         self._critical = float(getattr(torsion, "critical_area", np.nan))
         self._shapes = {path: np.shape(number_at(scene, path)) for path in about.live}
@@ -177,5 +177,9 @@ def looks(server: Any, stage: Stage) -> None:
                     handle.visible = event.target.value
 
 
-def _unit(orientation: Any) -> np.ndarray:
-    return np.asarray(orientation) / np.linalg.norm(orientation)
+def at_first(scene: Scene) -> Float[np.ndarray, "O 7"]:
+    """Where the scene puts its objects, x y z (m) qw qx qy qz."""
+    rows = [np.concatenate([thing.position, thing.orientation]) for thing in scene.object.values()]
+    pose = np.array(rows, np.float64)
+    pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+    return pose

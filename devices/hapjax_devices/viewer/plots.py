@@ -23,9 +23,7 @@ class Plots:
         colours = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in FINGERS[:fingers]]
         names = [f"finger {finger}" for finger in range(fingers)]
         empty = np.zeros(1)
-        # From 0 on, and to 1 N at least: where nothing is felt an axis of its own choice ends at 100.
-        ends = {"min": {"pad": 0, "soft": 0, "hard": 0, "mode": 1}, "max": {"pad": 0.1, "soft": 1, "mode": 1}}
-        scales = {"x": {"time": False}, "y": {"range": ends}}
+        scales = {"x": {"time": False}, "y": {"range": (0.0, None)}}
         lines = [{"label": name, "stroke": c, "width": 1.5} for name, c in zip(names, colours, strict=True)]
         self._force = server.gui.add_uplot(
             (empty,) * (1 + fingers),
