@@ -34,10 +34,10 @@ def page(notebook, stem: str) -> tuple[str, dict[str, bytes]]:
             blocks.append(re.sub(r"\]\((\w+)\.ipynb", r"](\1.md", cell.source.replace("](../docs/", "](../")))
             continue
         blocks.append(f"```python\n{cell.source}\n```")
+        if text := "\n".join(filter(None, map(text_of, cell.outputs))):
+            blocks.append(f"```text\n{text}\n```")
         for output in cell.outputs:
-            if text := text_of(output):
-                blocks.append(f"```text\n{text}\n```")
-            elif plot := output.get("data", {}).get("image/svg+xml"):
+            if plot := output.get("data", {}).get("image/svg+xml"):
                 name = f"{stem}_{len(plots) + 1}.svg"
                 plots[name] = plot.encode()
                 blocks.append(f"![Plot drawn by the lines above]({name})")
