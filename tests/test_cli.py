@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -38,6 +40,12 @@ dt = 0.01
 def write_table(path, mu, stiffness):
     path.write_text(TABLE.format(mu=mu, stiffness=stiffness))
     return str(path)
+
+
+def example(command):
+    """The arguments of the example that a command's help gives."""
+    (told,) = re.findall(r"Example: hapjax (.*?)\n\n", COMMANDS[command].__doc__, re.DOTALL)
+    return shlex.split(told)
 
 
 @pytest.fixture
@@ -133,10 +141,11 @@ def test_fit_finds_what_simulate_was_given(tmp_path, stroke, capsys):
 
 
 @pytest.mark.slow
-def test_latency_prints_and_writes_its_figures(tmp_path, capsys):
+def test_latency_prints_and_writes_its_figures(tmp_path, monkeypatch, capsys):
     scene, file = write_table(tmp_path / "table.toml", 0.5, 1000.0), tmp_path / "latency.json"
-    arguments = ["--scene", scene, "--fingers", "2", "--seconds", "0.2", "--json", str(file)]
-    assert main(["benchmark", "latency", *arguments]) == 0
+    monkeypatch.chdir(tmp_path)
+    quicker = ["--scene", scene, "--fingers", "2", "--seconds", "0.2"]
+    assert main([*example("benchmark"), *quicker]) == 0
     printed, figures = capsys.readouterr().out, json.loads(file.read_text())
     for words in ("scan", "packed call", "empty call", "late by", "missed ticks", "compile"):
         assert words in " ".join(printed.split())
@@ -185,12 +194,15 @@ def test_an_interruption_and_a_full_disk_end_in_one_sentence(
 def test_the_demo_finds_the_truth(tmp_path):
     """Every truth inside its 99 % interval, mu and stiffness to 1 %, starts a factor 2 off in every number."""
     as_a_user = {key: value for key, value in os.environ.items() if key != "XLA_FLAGS"}
-    command = [HAPJAX, "demo", "--out", str(tmp_path / "demo")]
-    run = subprocess.run(command, capture_output=True, text=True, env=as_a_user)
+    run = subprocess.run(
+        [HAPJAX, *example("demo")], cwd=tmp_path, capture_output=True, text=True, env=as_a_user
+    )
     assert run.returncode == 0, run.stdout + run.stderr
     assert "7 of 7 truths inside their 99 % interval" in " ".join(run.stdout.split())
-    truth, start = (hapjax.load_scene(tmp_path / "demo" / f"{name}.toml") for name in ("truth", "start"))
-    figures = json.loads((tmp_path / "demo" / "fit.json").read_text())["parameters"]
+    truth, start = (
+        hapjax.load_scene(tmp_path / "hapjax-demo" / f"{name}.toml") for name in ("truth", "start")
+    )
+    figures = json.loads((tmp_path / "hapjax-demo" / "fit.json").read_text())["parameters"]
     for name, leaf in (
         ("object.cube.surface.mu", lambda s: s.object["cube"].surface.mu),
         ("object.cube.surface.stiffness", lambda s: s.object["cube"].surface.stiffness),
@@ -198,5 +210,5 @@ def test_the_demo_finds_the_truth(tmp_path):
         assert float(leaf(start)) / float(leaf(truth)) in (pytest.approx(0.5), pytest.approx(2.0))
         assert figures[name]["estimate"] == pytest.approx(float(leaf(truth)), rel=0.01)
     assert len(figures) == 7 and all(p["identified"] for p in figures.values())
-    page = (tmp_path / "demo" / "report.html").read_text()
+    page = (tmp_path / "hapjax-demo" / "report.html").read_text()
     assert "object.cube.body.inertia[2]" in page and ("<svg" in page or "data:image/png" in page)

@@ -59,6 +59,9 @@ URDF = """
     <collision><origin xyz="0 0 0.05" rpy="0 0.4 0"/><geometry><box size="0.06 0.04 0.02"/></geometry></collision></link>
   <link name="tip"><inertial><mass value="0.1"/>
     <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
+  <link name="cap"><inertial><origin xyz="0 0.02 0"/><mass value="0.05"/>
+    <inertia ixx="1e-5" ixy="0" ixz="0" iyy="2e-5" iyz="0" izz="1e-5"/></inertial></link>
+  <joint name="more" type="fixed"><parent link="tip"/><child link="cap"/><origin xyz="0.1 0 0" rpy="1 0 0"/></joint>
   <joint name="glue" type="fixed"><parent link="base"/><child link="tip"/><origin xyz="0 0 0.1" rpy="0 0 1"/></joint>
 </robot>
 """

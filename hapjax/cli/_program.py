@@ -3,6 +3,7 @@
 import os
 import sys
 from collections import Counter
+from importlib.metadata import version
 from itertools import pairwise
 from typing import Any, NoReturn
 
@@ -22,7 +23,11 @@ from .run import run as run_session
 from .simulate import simulate
 from .view import view
 
-_SHELLS = ("bash", "zsh", "tcsh")
+_SHELLS = ("bash", "zsh")
+_OURS = {"--print-completion": "--tyro-print-completion", "--write-completion": "--tyro-write-completion"}
+_ABOUT = """Touch, hold and identify virtual objects: friction, stiffness, torsional grip, inertia.
+
+hapjax --version says which it is, hapjax --print-completion bash (or zsh) what completes its words in a shell."""
 COMMANDS = {
     "demo": demo,
     "run": run_session,
@@ -68,14 +73,19 @@ def run() -> NoReturn:
 
 
 def _run(arguments: list[str]) -> int | None:
+    if arguments == ["--version"]:
+        print(f"hapjax {version('hapjax')}")
+        return 0
     _check_completion(arguments)
     _check_once(arguments)
+    if os.environ.get("NO_COLOR"):  # rich heeds it, tyro does not
+        tyro._experimental_options["ansi_codes"] = False
     with parse_errors.on_parse_error(_refuse):
         result = tyro.extras.subcommand_cli_from_dict(
             COMMANDS,
             prog="hapjax",
-            description="Touch, hold and identify virtual objects: friction, stiffness, torsional grip, inertia.",
-            args=arguments,
+            description=_ABOUT,
+            args=[_OURS.get(word, word) for word in arguments],
         )
     sys.stdout.flush()
     return result
@@ -97,9 +107,9 @@ def _check_once(arguments: list[str]) -> None:
 
 
 def _check_completion(arguments: list[str]) -> None:
-    """Refuse shells that tyro has no completion for; it would end in a traceback."""
+    """Refuse shells that tyro has no completion for by itself; it would end in a traceback."""
     for flag, shell in pairwise([*arguments, ""]):
-        if flag in ("--tyro-print-completion", "--tyro-write-completion") and shell not in _SHELLS:
+        if flag in (*_OURS, *_OURS.values()) and shell not in _SHELLS:
             raise InputError(f"{flag} is {shell!r}; allowed: {', '.join(_SHELLS)}")
 
 

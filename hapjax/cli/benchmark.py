@@ -35,7 +35,8 @@ def benchmark(
     how stiff a wall a device can press on. error: error against run time of each integrator, beside MuJoCo's, on cases
     with a known truth. gradient: time and memory of gradients beside the forward pass. batch: steps and gradients a second
     of batches of rollouts, and how far a held object creeps, beside MuJoCo's. fit: errors of estimates beside the least
-    possible, how often 95 % intervals hold the truth, how long fits take. Example: hapjax benchmark latency --json l.json
+    possible, how often 95 % intervals hold the truth, how long fits take.
+    Example: hapjax benchmark latency --json latency.json
 
     Args:
         kind: Which measurement.

@@ -42,6 +42,7 @@ def fit(
     """Find numbers of a scene from recordings, with 95 % intervals.
 
     Example: hapjax fit lift.npz --scene cube.toml --free object.cube.surface.mu object.cube.surface.stiffness
+    --json fit.json
 
     Args:
         recordings: Files (.npz, .csv, .mcap, .parquet) with hip (m) and force (N, on the finger) or pose (m).

@@ -1,0 +1,161 @@
+"""The command line on a terminal and in a shell: its version, completion, colours, and the examples of its help."""
+
+import os
+import pty
+import re
+import shlex
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hapjax
+from hapjax.cli import COMMANDS, main
+from test_cli import example
+from test_docs import block, section
+
+HAPJAX = str(Path(sys.executable).parent / "hapjax")
+
+
+def helped(command, capsys) -> str:
+    """The help of a command, in lines as long as they like."""
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--help"])
+    assert ended.value.code == 0
+    return " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+
+def test_it_says_its_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"hapjax {version('hapjax')}\n"
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    assert "hapjax --version" in " ".join(capsys.readouterr().out.split())
+
+
+# Completion -----------------------------------------------------------------------------------------------
+
+
+def completed(script, *words) -> list[str]:
+    """What bash offers for the last word."""
+    shell = f"""source {script}
+        COMP_WORDS=({" ".join(map(shlex.quote, words))}); COMP_CWORD={len(words) - 1}; COMP_LINE="{" ".join(words)}"
+        COMP_POINT=${{#COMP_LINE}}
+        $(complete -p hapjax | sed 's/.*-F \\([^ ]*\\) .*/\\1/')
+        printf '%s\\n' "${{COMPREPLY[@]}}" """
+    command = ["bash", "-c", f"shopt -s expand_aliases; {shell}"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+
+
+def test_bash_completes_commands_options_and_choices(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["--print-completion", "bash"])
+    script = tmp_path / "hapjax.bash"
+    script.write_text(capsys.readouterr().out)
+    assert set(completed(script, "hapjax", "d")) == {"demo", "devices", "doctor"}
+    assert "--scene" in completed(script, "hapjax", "fit", "--sc")
+    assert set(completed(script, "hapjax", "export", "a.toml", "--to", "")) == {"mjcf", "urdf"}
+
+
+def test_zsh_has_a_script_and_other_shells_are_refused(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--print-completion", "zsh"])
+    assert not ended.value.code and "doctor" in capsys.readouterr().out
+    for flag in ("--print-completion", "--tyro-print-completion"):
+        assert main([flag, "fish"]) == 2
+        assert capsys.readouterr().err == f"hapjax: {flag} is 'fish'; allowed: bash, zsh\n"
+
+
+# Colours --------------------------------------------------------------------------------------------------
+
+COLOUR = re.compile(r"\x1b\[[0-9;]*(?:3[0-9]|4[0-9]|9[0-9])[0-9;]*m")
+
+
+def on_a_terminal(arguments, **environment) -> str:
+    """What a program writes to a terminal."""
+    primary, secondary = pty.openpty()
+    kept = {key: value for key, value in os.environ.items() if key not in ("NO_COLOR", "FORCE_COLOR")}
+    run = subprocess.Popen(arguments, stdout=secondary, stderr=secondary, env=kept | environment)
+    os.close(secondary)
+    said = b""
+    while True:
+        try:
+            part = os.read(primary, 65536)
+        except OSError:  # Linux's end of a terminal
+            break
+        if not part:
+            break
+        said += part
+    os.close(primary)
+    assert run.wait() == 0
+    return said.decode()
+
+
+def test_colours_are_for_terminals_that_want_them():
+    """Of tyro's help and of a table and a bar of rich."""
+    program = (
+        "import sys; from rich.console import Console; from hapjax.cli import main\n"
+        "Console().print('[green]green[/]'); sys.argv = ['hapjax', 'fit', '--help']; main()"
+    )
+    command = [sys.executable, "-c", program]
+    coloured = on_a_terminal(command, TERM="xterm-256color")
+    assert COLOUR.search(coloured.partition("green")[0]) and "\x1b[" in coloured.partition("Example")[2]
+    plain = on_a_terminal(command, TERM="xterm-256color", NO_COLOR="1")
+    assert "Example" in plain and not COLOUR.search(plain) and "\x1b[" not in plain.partition("usage")[2]
+
+
+def test_what_is_no_terminal_has_no_colours(capsys):
+    assert "\x1b[" not in helped("fit", capsys)
+
+
+# Examples -------------------------------------------------------------------------------------------------
+
+# Tests of their own run what takes long.
+ELSEWHERE = {
+    "demo": "tests/test_cli.py",
+    "simulate": "tests/test_docs.py",
+    "fit": "tests/test_docs.py",
+    "benchmark": "tests/test_cli.py",
+}
+
+QUICKER = {"doctor": ["--seconds", "0.1"]}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with the files that the examples name."""
+    place = tmp_path_factory.mktemp("examples")
+    (place / "cube.toml").write_text(block("scene_file.md", "toml"))
+    hapjax.save_urdf(hapjax.load_scene(place / "cube.toml"), place / "cube.urdf")
+    hip = np.zeros((20, 1, 3))
+    hapjax.Recording(hip=hip, hip_t=np.arange(20) * 1e-3).save(place / "lift.mcap")
+    return place
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_and_page_begin_with_one_example(command, capsys):
+    told, first = (
+        shlex.join(["hapjax", *example(command)]),
+        re.findall(r"^hapjax .*", section(command), re.MULTILINE)[0],
+    )
+    assert told == first and f"Example: {told} " in helped(command, capsys)
+    if command in ELSEWHERE:
+        assert command in (Path(__file__).parents[1] / ELSEWHERE[command]).read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name not in ELSEWHERE])
+def test_the_example_works(command, folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    arguments = example(command)
+    before = set(folder.iterdir())
+    assert main([*arguments, *QUICKER.get(command, [])]) == 0, capsys.readouterr().err
+    options = dict(zip(arguments, arguments[1:], strict=False))
+    for option in ("--out", "--json"):
+        if option in options:
+            assert (folder / options[option]).stat().st_size > 0
+    written = {path.name for path in set(folder.iterdir()) - before}
+    assert written == {options[o] for o in ("--out", "--json") if o in options}
