@@ -16,7 +16,7 @@ from .correlated import correlated
 from .dropping import lost_at, lost_of, of_nothing, without
 from .findings import findings_of
 from .grip import is_mu
-from .interrupt import stopping_at_interrupts
+from .interrupt import once_more, stopping_at_interrupts
 from .misfit import misfit
 from .noise import noise_of
 from .observation import CHANNELS, observation_of
@@ -139,14 +139,18 @@ def fit(
                 break
             dropped, begin = lost, best
     seconds, lost = time.perf_counter() - began, lost_of(lost, names)
-    result = result_of(problem, ends, residuals, trace, used, called, seconds, noise, lost)
-    result = result if enough else of_nothing(result)
-    # Of several recordings one may be without a slip, whatever the others tell.
-    several = len(recordings) > 1
-    friction = any(is_mu(p) and (several or not result.parameters[p.name].identified) for p in parameters)
-    measured_by = {name: result.sensors_of(name) for name in called}
-    found = findings_of(scene, recordings, names, friction, measured_by)
-    if enough:
-        found += tuple(misfit(residuals, problem, called, noise or ()))
-        found += tuple(correlated(channels_of(residuals, problem), noise or (), loss))
-    return replace(result, findings=found)
+
+    def told() -> FitResult:
+        result = result_of(problem, ends, residuals, trace, used, called, seconds, noise, lost)
+        result = result if enough else of_nothing(result)
+        # Of several recordings one may be without a slip, whatever the others tell.
+        several = len(recordings) > 1
+        friction = any(is_mu(p) and (several or not result.parameters[p.name].identified) for p in parameters)
+        measured_by = {name: result.sensors_of(name) for name in called}
+        found = findings_of(scene, recordings, names, friction, measured_by)
+        if enough:
+            found += tuple(misfit(residuals, problem, called, noise or ()))
+            found += tuple(correlated(channels_of(residuals, problem), noise or (), loss))
+        return replace(result, findings=found)
+
+    return once_more(trace, told)

@@ -4,11 +4,15 @@ import logging
 import os
 import signal
 import threading
+from collections.abc import Callable
 from contextlib import contextmanager, suppress
+from typing import TypeVar
 
 import jax
 
 from .solve import Trace
+
+_T = TypeVar("_T")
 
 
 @contextmanager
@@ -40,6 +44,17 @@ def stopping_at_interrupts(trace: Trace):
         log.removeFilter(watch.is_worth_logging)
         trace.should_stop = None
         watch.close(before)
+
+
+def once_more(trace: Trace, make: Callable[[], _T]) -> _T:
+    """What is made of what a search found, also where the first SIGINT comes in the middle of that."""
+    try:
+        return make()
+    except KeyboardInterrupt:
+        if trace.interrupted:
+            raise
+        trace.interrupted = True
+        return make()
 
 
 class _Watch:

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import nullcontext
 
 import pytest
 
@@ -14,6 +15,7 @@ from fitting_cases import BOTH, MU, SIGMA, floor, recorded
 from hapjax import InputError
 from hapjax.cli import main
 from hapjax_fitting import fit, table
+from hapjax_fitting.interrupt import once_more
 from hapjax_fitting.progress import done
 from hapjax_fitting.solve import Trace
 
@@ -95,6 +97,21 @@ def adding(self, *step):
 Trace.add = adding
 run()
 """
+
+
+@pytest.mark.parametrize(
+    ("stopped", "times", "kept"), [(False, 1, True), (False, 2, False), (True, 1, False)]
+)
+def test_one_interrupt_after_the_search_keeps_what_it_found(stopped, times, kept):
+    trace, left = Trace(interrupted=stopped), [KeyboardInterrupt()] * times
+
+    def made():
+        if left:
+            raise left.pop()
+        return trace.interrupted
+
+    with nullcontext() if kept else pytest.raises(KeyboardInterrupt):
+        assert once_more(trace, made)
 
 
 @pytest.mark.slow
