@@ -22,6 +22,7 @@ from .sliders import Sliders
 from .stage import Stage, camera
 
 FRAME = 1 / 60  # s
+_TOLD = 1.0  # s between two reports of how the run does
 _EVENTS = 5  # that are shown
 _COUNTED = ("missed", "ramped")  # of which there may be many
 
@@ -110,7 +111,8 @@ class Page:
     ):
         about = reader.about
         self._reader, self._decoder = reader, Decoder(about, scene)
-        self._every, self._drawn, self._said = max(1, round(about.rate / plots.RATE)), 0.0, []
+        self._every, self._said = max(1, round(about.rate / plots.RATE)), []
+        self._drawn = self._told = 0.0  # when, s
         server = self._server = stack.enter_context(
             serving(f"hapjax: {about.run}", host, port, camera(scene))
         )
@@ -137,11 +139,15 @@ class Page:
         every = ticks[ticks["tick"] % self._every == 0]
         self._window = newest(self._window + self._decoder.moments(every))
         now = time.monotonic()
+        if not self._server.get_clients():
+            return
         with self._server.atomic():
             self._stage.show(self._decoder.moments(ticks[-1:]))
             if now > self._drawn + plots.PERIOD:
                 self._drawn = now
                 self._plots.show(self._window)
+            if now > self._told + _TOLD:
+                self._told = now
                 self._status.content = self._words(ticks[-1])
         if self._sliders is not None:
             self._sliders.turn(self._decoder.live(ticks[-1]))

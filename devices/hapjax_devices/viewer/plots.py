@@ -9,7 +9,7 @@ from .moments import Moments
 from .stage import FINGERS
 
 SECONDS, RATE = 5.0, 100.0  # s that are shown, Hz: what a screen can tell apart
-PERIOD = 0.1  # s between two drawings
+PERIOD = 0.25  # s between two drawings: a browser on a slow computer has to keep up
 NOWHERE = -1.0  # N, below the plot: what is not a number takes the axes with it
 
 
