@@ -9,7 +9,7 @@ export PIP_ROOT_USER_ACTION := ignore
 # first takes over half of what the other has left.
 PYTEST := $(BIN)/pytest -n 2 --dist worksteal
 
-.PHONY: demo test usb-test lint docs clean
+.PHONY: demo test usb-test lint docs packages clean
 
 demo: .venv/.installed-demo
 	$(BIN)/hapjax demo
@@ -38,6 +38,10 @@ lint: .venv/.installed-dev
 
 docs: .venv/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# Sdist and wheel, and the wheel in an empty environment with each extra alone.
+packages:
+	PYTHON=$(PYTHON) .ci/packages
 
 clean:
 	rm -rf .venv .cache site dist build hapjax-demo .pytest_cache .ruff_cache .hypothesis .benchmarks
