@@ -1,5 +1,6 @@
 """The commands as a user runs them: what they write, print and return."""
 
+import contextlib
 import json
 import os
 import re
@@ -65,6 +66,31 @@ def test_simulate_writes_the_forces_of_the_scene(tmp_path, stroke):
     np.testing.assert_array_equal(answer.hip, hapjax.Recording.load(stroke).hip)
     np.testing.assert_allclose(answer.force[:, 0, 2], 2.0, rtol=1e-12)
     assert np.max(np.abs(answer.force[:, 0, 0])) == pytest.approx(1.0, rel=1e-12)  # mu times the normal force
+
+
+def test_simulate_in_pieces_is_the_same_to_the_last_bit(tmp_path, monkeypatch):
+    scene = tmp_path / "cube.toml"
+    scene.write_text(
+        CUBE.replace("-10.0", "0.0") + "[object.cube.surface]\nmu = 0.5\nstiffness = 500.0\ndamping = 1.0\n"
+    )
+    hip = np.array([0.0, 0.0, 0.53]) - np.linspace(0, 0.01, 47)[:, None, None] * [1.0, 0.0, 4.0]
+    hapjax.Recording(hip=hip, hip_t=0.01 * np.arange(47)).save(tmp_path / "hip.npz")
+    answers, told = [], []
+
+    @contextlib.contextmanager
+    def following(total):
+        yield lambda doing, done: told.append((total, done))
+
+    monkeypatch.setattr("hapjax.cli.simulate.following", following)
+    for piece in (1000, 20):
+        monkeypatch.setattr("hapjax.cli.simulate._PIECE", piece)
+        out = str(tmp_path / f"{piece}.npz")
+        assert main(["simulate", str(scene), "--hip", str(tmp_path / "hip.npz"), "--out", out]) == 0
+        answers.append(dict(np.load(out)))
+    assert told == [(47.0, 47.0), (47.0, 20.0), (47.0, 20.0), (47.0, 7.0)]
+    assert np.ptp(answers[0]["pose"][20:, 0, 2]) > 0.01  # pushed away, it flies on from piece to piece
+    for channel in ("hip", "force", "pose", "pose_t"):
+        np.testing.assert_array_equal(answers[0][channel], answers[1][channel])
 
 
 def test_simulate_follows_the_topic_of_a_bag(tmp_path, stroke, capsys):

@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..extras import need
 from ..files import check_makeable, replacing
 from ..integrate import METHODS
+from ..progress import Advance, following
 from ..scene import Scene, cast
 from . import _grip, _mujoco, _sweep
 from . import error_scene as own
@@ -24,7 +25,6 @@ from ._order import equal_time, fitted_order
 from ._sweep import FULL, QUICK, Point, Sweep
 from ._timing import compiled, step_us
 from .cases import CASES, Case, Mujoco
-from .stability import Advance, following
 from .stability_maps import check_names
 
 ROUNDING = 1e-12  # in the case's unit: nothing below is told apart from 0

@@ -1,20 +1,19 @@
 """Where each integrator settles, rings or blows up, and how stiff a wall a device can be pressed on."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ..errors import InputError
 from ..extras import need
 from ..files import check_makeable, replacing
 from ..integrate import METHODS
+from ..progress import Advance, following
 from ..scene import Scene
 from . import error_scene as moved
 from . import stability_loop as loop
@@ -23,7 +22,6 @@ from . import stability_page as page
 from . import stability_scene as own
 
 LOOP = "loop"
-Advance = Callable[[str, float], Any]
 
 
 def measure(
@@ -173,17 +171,3 @@ def _work(scene: Scene | None, maps, integrators, quick: bool, rate: float) -> f
         plans.QUICK_DTS if quick else plans.DTS,
     )
     return total + (loop.work(_rates(quick)) if LOOP in maps else 0.0)
-
-
-@contextmanager
-def following(total: float) -> Iterator[Advance]:
-    """Show, on stderr if it is a terminal, what is being done and the time left while the block runs."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("compiling", total=total)
-
-        def advance(doing: str, steps: float) -> None:
-            bar.update(task, advance=steps, description=doing)
-
-        yield advance

@@ -9,10 +9,14 @@ import numpy as np
 from tyro.conf import Positional
 
 from ..errors import within
+from ..progress import following
 from ..recording import Recording, load_recording
 from ..recording.ros_topics import parsed
+from ..scene import Scene
 from ..scene_file import load_scene
 from ..simulate import init, rollout
+
+_PIECE = 10_000  # steps from one word of how far it is to the next
 
 
 def simulate(scene: Positional[Path], *, hip: Path, out: Path, topic: tuple[str, ...] = ()) -> None:
@@ -39,21 +43,36 @@ def simulate(scene: Positional[Path], *, hip: Path, out: Path, topic: tuple[str,
             times = recording.hip_t[0] + dt * np.arange(len(path))
             turned = loaded.torsion is not None and loaded.torsion.needs_gimbal
             gimbals = recording.gimbal_at(times) if turned else None
-        first = None if gimbals is None else gimbals[0]
-        _, reply = rollout(loaded, init(loaded, path[0], first), path, gimbals=gimbals)
+        forces, poses = _answers(loaded, np.asarray(path), gimbals)
     channels: dict[str, Any] = {
         "hip": path,
         "hip_t": times,
-        "force": np.asarray(reply.force),
+        "force": forces,
         "force_t": times,
     }
     if gimbals is not None:
         channels |= {"gimbal": gimbals, "gimbal_t": times}
     if loaded.moving():
-        channels |= {"pose": np.asarray(reply.pose), "pose_t": times + dt}  # a step's poses belong to its end
+        channels |= {"pose": poses, "pose_t": times + dt}  # a step's poses belong to its end
     with within(f"{scene} with {hip}: the simulation ended with "):
         answer = Recording(**channels)
     answer.save(out)
+
+
+def _answers(scene: Scene, path: np.ndarray, gimbals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Forces (N) and poses (m) along a path, piece by piece; pieces of one length, so that one program does them all."""
+    length, answers = min(_PIECE, len(path)), []
+    state = init(scene, path[0], None if gimbals is None else gimbals[0])
+    with following(float(len(path))) as advance:
+        for first in range(0, len(path), length):
+            steps = np.minimum(np.arange(first, first + length), len(path) - 1)
+            turned = None if gimbals is None else gimbals[steps]
+            state, reply = rollout(scene, state, path[steps], gimbals=turned)
+            kept = min(length, len(path) - first)
+            answers.append((np.asarray(reply.force)[:kept], np.asarray(reply.pose)[:kept]))
+            advance("simulating", float(kept))
+    forces, poses = zip(*answers, strict=True)
+    return np.concatenate(forces), np.concatenate(poses)
 
 
 def _loaded(path: Path, topics) -> Recording:
