@@ -9,7 +9,7 @@ export PIP_ROOT_USER_ACTION := ignore
 # first takes over half of what the other has left.
 PYTEST := $(BIN)/pytest -n 2 --dist worksteal
 
-.PHONY: demo test usb-test lint docs packages clean
+.PHONY: demo test usb-test viewer-test lint docs packages clean
 
 demo: .venv/.installed-demo
 	$(BIN)/hapjax demo
@@ -29,6 +29,16 @@ usb-test: .venv/.installed-dev
 		umockdev-wrapper /usr/bin/python3 tests/usb_bridge.py $(BIN)/python -m pytest tests/devices/test_falcon_usb.py; \
 	else \
 		echo "usb-test is skipped: it needs the packages umockdev, gir1.2-umockdev-1.0 and python3-gi"; \
+	fi
+
+# The viewer's page in a real browser; what it looks like is kept in .pytest_cache/viewer.
+viewer-test: .venv/.installed-dev
+	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] && apt-get -qq update && \
+		apt-get -qq install -y chromium; } >/dev/null 2>&1 || true
+	@if command -v chromium >/dev/null; then \
+		HAPJAX_CHROMIUM=$$(command -v chromium) $(BIN)/pytest tests/devices/test_viewer_page.py; \
+	else \
+		echo "viewer-test is skipped: it needs chromium"; \
 	fi
 
 lint: .venv/.installed-dev
