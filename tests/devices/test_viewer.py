@@ -1,6 +1,7 @@
 """What the viewer draws: where things are and how large, from a run's own ticks; where a hand's parts are; its sliders."""
 
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
@@ -116,6 +117,7 @@ def test_circles_are_as_large_as_forces_and_patches_as_their_areas(pressed):
 def test_the_cone_has_each_sample_once_in_order_and_each_fingers_limit(pressed):
     _, decoder, ticks, _ = pressed
     window = decoder.moments(ticks)
+    window = replace(window, normal_force=window.normal_force * np.array([3.0, 1.0, 2.0])[:, None, None])
     x, *rest = cone(window)
     dots, limits = np.array(rest[:2]), np.array(rest[2:])
     assert np.all(np.diff(x) >= 0) and x[0] == 0 and np.sum(dots != NOWHERE) == 3

@@ -94,7 +94,7 @@ def test_velocities_are_those_of_the_motion():
     np.testing.assert_allclose(found[1:, 0, 7:10], wanted, atol=1e-5)
 
 
-def test_the_scene_of_a_recording_is_that_which_is_recorded_with_it(lifted, tmp_path):
+def test_the_scene_of_a_recording_is_that_which_is_recorded_with_it(tmp_path, monkeypatch):
     from mcap.writer import Writer
 
     file = tmp_path / "lift.mcap"
@@ -106,10 +106,12 @@ def test_the_scene_of_a_recording_is_that_which_is_recorded_with_it(lifted, tmp_
         for name, data in (("scene.toml", text.encode()), ("parts/block.stl", mesh), ("../out.stl", b"")):
             writer.add_attachment(0, 0, name, "", data)
         writer.finish()
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(replay.tempfile, "tempdir", str(tmp_path / "temporary"))
     scene = replay.attached_scene(file)
     assert scene.touchable() == ["part"]
     assert float(scene.object["part"].shape.volume()) == pytest.approx(6e-3)  # pyright: ignore[reportArgumentType]
-    assert not (tmp_path.parent / "out.stl").exists()
+    assert not [*(tmp_path / "temporary").iterdir()]  # nothing was written elsewhere, and what was is gone
 
 
 REFUSED = {
