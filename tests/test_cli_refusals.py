@@ -148,7 +148,7 @@ SCENES = [
 ]
 
 ARGUMENTS = [
-    ([], ["no command", "demo, run, simulate, fit, benchmark"]),
+    ([], ["no command", "demo, run, simulate, fit, view, benchmark"]),
     (["fly"], ["fly"]),
     (["simulate"], ["missing", "--hip", "--out"]),
     (["simulate", "{scene}", "--hip"], ["--hip"]),

@@ -4,10 +4,12 @@ import os
 import pty
 import re
 import shlex
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -122,6 +124,7 @@ ELSEWHERE = {
 }
 
 QUICKER = {"doctor": ["--seconds", "0.1"]}
+ENDLESS = "view"
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +150,7 @@ def test_help_and_page_begin_with_one_example(command, capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", [name for name in COMMANDS if name not in ELSEWHERE])
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name not in (*ELSEWHERE, ENDLESS)])
 def test_the_example_works(command, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     arguments = example(command)
@@ -159,3 +162,21 @@ def test_the_example_works(command, folder, monkeypatch, capsys):
             assert (folder / options[option]).stat().st_size > 0
     written = {path.name for path in set(folder.iterdir()) - before}
     assert written == {options[o] for o in ("--out", "--json") if o in options}
+
+
+@pytest.mark.slow
+def test_the_example_without_an_end_works_until_it_is_ended(folder):
+    pytest.importorskip("viser", reason="the viewer needs the extra viewer")
+    command = [HAPJAX, *example(ENDLESS), "--scene", "cube.toml", "--port", "0"]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            said = process.stdout.readline()
+            address = re.search(r"http://127\.0\.0\.1:\d+", said)
+            assert address, said
+            with urlopen(address[0]) as page:
+                assert page.status == 200 and b"viser" in page.read().lower()
+            process.send_signal(signal.SIGINT)
+            assert process.wait(20) == 0
+        finally:
+            process.kill()

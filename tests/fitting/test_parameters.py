@@ -84,7 +84,7 @@ MU = "object.cube.surface.mu"
         (["object.cube.surface.mu_static"], None, "leaves out object.cube.surface.mu_static"),
         (["torsion.critical_area"], None, "leaves out torsion"),
         (["object..mu"], None, "part without a name"),
-        ([""], None, "part without a name"),
+        ([""], None, "free has an empty path"),
         (["object.cube.surface.mu[0]"], None, "out of range"),
         (["object.cube.body.inertia[3]"], None, r"allowed: object.cube.body.inertia\[0\] to \[2\]"),
         (["object.cube.body.inertia[\u0661]"], None, "object.cube.body has no inertia"),
