@@ -1,7 +1,6 @@
 """Ctrl-C during a fit: what was found so far is kept."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -36,7 +35,7 @@ def interrupting(monkeypatch, at, times=1):
         add(self, *step)
         count[0] += 1
         if count[0] >= at and times > 0 and count[0] < at + times:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(Trace, "add", adding)
     return count
@@ -84,7 +83,7 @@ def test_a_handler_of_the_programs_own_is_left_alone(monkeypatch):
 
 
 INTERRUPTED = """
-import os, signal, sys
+import signal, sys
 from hapjax.cli import run
 from hapjax_fitting.solve import Trace
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -93,7 +92,7 @@ def adding(self, *step):
     add(self, *step)
     count[0] += 1
     if count[0] == 4:
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
 Trace.add = adding
 run()
 """
