@@ -190,7 +190,7 @@ def named(serial: str | None) -> str:
 def _kernel_drives(device: Any) -> bool:
     try:
         return device.is_kernel_driver_active(0)
-    except NotImplementedError:  # on systems where it cannot be
+    except NotImplementedError:  # libusb cannot ask on Windows, where its own driver is the only one
         return False
 
 
