@@ -115,7 +115,7 @@ def inbox():
     about = devices.About.of(name, 1000.0, scene, packed, [], 0)
     with devices.TickPublisher(about) as bus, Inbox(about, scene, bus) as made:
         node = services.join(name)
-        port = services.numbers(node, name, about.numbers).open().publisher_builder().create()
+        port = services.numbers(node, name, about.numbers).publisher_builder().create()
         with reader_of(bus) as reader:
 
             def send(*values):
@@ -151,6 +151,20 @@ def test_of_several_the_newest_counts_and_the_same_again_is_no_news(inbox):
     send(0.3, 500.0)
     assert made.put(2, memory) is memory and made.put(3, memory) is memory
     assert len(reader.events()) == 1
+
+
+def test_one_who_sends_may_be_there_before_the_servo_listens():
+    scene = table()
+    packed = hapjax.pack(scene, np.zeros((1, 3)), live=(MU, STIFFNESS))
+    about = devices.About.of(f"early-{os.getpid()}", 1000.0, scene, packed, [], 0)
+    with devices.TickPublisher(about) as bus:
+        thread = threading.Thread(target=bus.wait_for, args=(1, 5.0))
+        thread.start()
+        with devices.Numbers(bus.run) as numbers, Inbox(about, scene, bus) as made:
+            thread.join()
+            made.put(0, packed.start)
+            services.send(numbers._port, "Numbers", np.array([([0.3, 500.0],)], about.numbers))
+            assert made.put(1, packed.start)[packed.live[MU]] == 0.3
 
 
 def test_a_run_without_live_numbers_says_so():

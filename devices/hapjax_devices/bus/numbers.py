@@ -37,7 +37,7 @@ class Inbox:
         self._news: tuple[str, str, list[float]] | None = None  # that is still to be told
         self._node = services.join(about.run)
         with services.said(f"the live numbers of {about.run}"):
-            self._service = services.numbers(self._node, about.run, about.numbers).create()
+            self._service = services.numbers(self._node, about.run, about.numbers)
             self._port = self._service.subscriber_builder().create()
         # What is done for the first time takes ten times as long.
         memory = np.zeros(int(self._places.max()) + 1, about.dtype)
@@ -115,7 +115,7 @@ class Numbers:
         self._scene = scene_of(self.about)
         self._node = services.join(run)
         with services.said(f"the live numbers of {run}"):
-            self._service = services.numbers(self._node, run, self.about.numbers).open()
+            self._service = services.numbers(self._node, run, self.about.numbers)
             self._port = self._service.publisher_builder().create()
         self._now = {path: np.asarray(number_at(self._scene, path)) for path in self.about.live}
 

@@ -84,11 +84,11 @@ def about(node: Any, run: str) -> Any:
 
 
 def numbers(node: Any, run: str, sample: np.dtype) -> Any:
-    """The service by which a run is given live numbers, to be opened or created: many may send, the servo takes."""
+    """The service by which a run is given live numbers: many may send, the servo takes, whichever of them comes first."""
     builder = node.service_builder(iceoryx().ServiceName.new(f"{run}/numbers"))
     builder = builder.publish_subscribe(payload("Numbers", sample)).enable_safe_overflow(True)
     builder = builder.history_size(0).subscriber_max_buffer_size(SENDERS).max_subscribers(1)
-    return builder.max_publishers(SENDERS).max_nodes(4 * SENDERS)
+    return builder.max_publishers(SENDERS).max_nodes(4 * SENDERS).open_or_create()
 
 
 def hands(node: Any, run: str) -> Any:
