@@ -11,15 +11,13 @@ EXTRAS = (
 FOREIGN = set(EXTRAS.split())
 
 
-def seconds(module):
-    """Processor time that a fresh process takes to import a module, beyond jax: the least of five, as others are about."""
-    program = (
-        f"import jax; from time import process_time as t; before = t(); import {module}; print(t() - before)"
-    )
+def seconds():
+    """Processor time that a fresh process takes to import jax, and hapjax beyond it: the least of five of each."""
+    program = "from time import process_time as t; a = t(); import jax; b = t(); import hapjax; print(b - a, t() - b)"
     runs = [
         subprocess.run([sys.executable, "-c", program], capture_output=True, check=True) for _ in range(5)
     ]
-    return min(float(run.stdout) for run in runs)
+    return map(min, zip(*(map(float, run.stdout.split()) for run in runs), strict=True))
 
 
 for name in ("hapjax", "hapjax_fitting", "hapjax_devices"):
@@ -31,8 +29,9 @@ import hapjax  # noqa: E402, F401
 assert not FOREIGN & set(sys.modules), FOREIGN & set(sys.modules)
 for name in sys.argv[1:]:
     importlib.import_module(name)
-took = seconds("hapjax")
-assert took < 0.3, (
-    f"import hapjax takes {took:.2f} s beyond jax; allowed: below 0.3 s, on a machine with nothing else to do"
+of_jax, took = seconds()
+allowed = max(0.3, 0.65 * of_jax)  # where that is more, the machine is slow, or others use its caches
+assert took < allowed, (
+    f"import hapjax takes {took:.2f} s beyond jax's {of_jax:.2f} s; allowed: below {allowed:.2f} s"
 )
-print(f"import hapjax: {1e3 * took:.0f} ms beyond jax")
+print(f"import hapjax: {1e3 * took:.0f} ms beyond jax's {1e3 * of_jax:.0f} ms")

@@ -3,6 +3,7 @@
 import threading
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,12 +17,12 @@ from hapjax_devices.viewer.geometry import from_z, matrices, placed, ring, rods
 from hapjax_devices.viewer.hand import BONE, KNUCKLE, hand
 from viewer_cases import Drawn
 
-pytest.importorskip("viser", reason="the viewer needs the extra viewer")
+viser = pytest.importorskip("viser", reason="the viewer needs the extra viewer")
 
 from hapjax_devices.viewer import stage as drawing  # noqa: E402
 from hapjax_devices.viewer.live import Decoder  # noqa: E402
 from hapjax_devices.viewer.plots import NOWHERE, cone  # noqa: E402
-from hapjax_devices.viewer.server import serving  # noqa: E402
+from hapjax_devices.viewer.server import is_own, serving  # noqa: E402
 from hapjax_devices.viewer.shapes import triangles  # noqa: E402
 from hapjax_devices.viewer.sliders import Sliders, scale  # noqa: E402
 
@@ -259,3 +260,38 @@ def test_a_page_is_served_at_its_address_alone_and_its_end_frees_it(capsys):
     assert capsys.readouterr().out == f"the viewer is at http://127.0.0.1:{port}\n"
     check("127.0.0.1", port)
     assert not [thread for thread in threading.enumerate() if "asyncio" in thread.name]
+
+
+ORIGINS = {
+    (None, "127.0.0.1:8080"): True,  # no page, but a program
+    ("http://127.0.0.1:8080", "127.0.0.1:8080"): True,
+    ("http://localhost:9000", "localhost:9000"): True,  # through a tunnel
+    ("http://[::1]:8080", "[::1]:8080"): True,
+    ("http://192.168.0.7:8080", "192.168.0.7:8080"): True,
+    ("http://lab-pc:8080", "lab-pc:8080"): True,
+    ("https://example.org", "127.0.0.1:8080"): False,
+    ("http://127.0.0.1:3000", "127.0.0.1:8080"): False,  # another server on this computer
+    ("http://example.org:8080", "example.org:8080"): False,  # a name that was made to lead here
+    ("null", "127.0.0.1:8080"): False,
+    ("http://[", "["): False,
+}
+
+
+@pytest.mark.parametrize("origin, asked", ORIGINS)
+def test_whose_page_a_request_comes_from(origin, asked, monkeypatch):
+    monkeypatch.setattr("socket.gethostname", lambda: "Lab-PC")
+    assert is_own(origin, asked, "0.0.0.0") == ORIGINS[origin, asked]
+
+
+def test_pages_of_others_are_refused():
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    with serving("test", "127.0.0.1", 0, (np.ones(3), np.zeros(3))) as server:
+        address = f"127.0.0.1:{server.get_port()}"
+        options: Any = dict(uri=f"ws://{address}", subprotocols=[f"viser-v{viser.__version__}"], proxy=None)
+        options, other = options | {"origin": f"http://{address}"}, {"origin": "http://a.org"}
+        with connect(**options) as page:
+            assert page.recv(timeout=30)
+        with pytest.raises(InvalidStatus, match="403"), connect(**options | other):
+            pass

@@ -1,12 +1,18 @@
 """The web server of a viewer: where it listens, and how its page looks."""
 
+import http
 import io
+import ipaddress
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from typing import Any
+from unittest.mock import patch
+from urllib.parse import urlsplit
 
 import numpy as np
 import viser
+import websockets.asyncio.server as sockets
 
 from .process import check
 
@@ -22,7 +28,10 @@ def serving(title: str, host: str, port: int, camera: tuple[np.ndarray, np.ndarr
     **Raises:** `InputError` where that cannot be listened at.
     """
     check(host, port)
-    with redirect_stdout(io.StringIO()):  # it would say where, in a box, and at its end that it stops
+    with (
+        redirect_stdout(io.StringIO()),
+        _guarded(host),
+    ):  # it would say where, in a box, and at its end that it stops
         server = viser.ViserServer(host, port, verbose=False)
     try:
         server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
@@ -38,3 +47,47 @@ def serving(title: str, host: str, port: int, camera: tuple[np.ndarray, np.ndarr
     finally:
         with redirect_stdout(io.StringIO()):
             server.stop()
+
+
+@contextmanager
+def _guarded(host: str) -> Iterator[None]:
+    """A server that starts in the block answers its own pages only, see `is_own`.
+
+    viser asks no page where it comes from, and a browser lets any page of the web open a websocket to 127.0.0.1.
+    """
+    serve, guarded = sockets.serve, []
+
+    def serve_own(handler: Any, *address: Any, process_request: Any, **options: Any) -> Any:
+        def refuse(connection: Any, request: Any) -> Any:
+            if is_own(request.headers.get("Origin"), request.headers.get("Host"), host):
+                return process_request(connection, request)
+            return connection.respond(http.HTTPStatus.FORBIDDEN, "This server answers its own pages only.\n")
+
+        guarded.append(True)
+        return serve(handler, *address, process_request=refuse, **options)
+
+    with patch.object(sockets, "serve", serve_own):
+        yield
+    assert guarded, (
+        f"viser {viser.__version__} listens in a way of its own, where pages of others are not refused"
+    )
+
+
+def is_own(origin: str | None, asked: str | None, host: str) -> bool:
+    """Whether a request comes from the page of this server, or from no page at all.
+
+    **Arguments:** what the browser says: the `origin` of the page, and what server it `asked`; the `host` that is listened
+    at.
+
+    A name of another's can be made to lead here, so it takes an address, or a name that is this computer's own.
+    """
+    if origin is None:
+        return True
+    try:
+        page = urlsplit(origin)
+        name = page.hostname or ""
+        if name not in ("localhost", host, socket.gethostname().lower()):
+            ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return page.netloc == asked
