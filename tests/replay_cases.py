@@ -47,7 +47,7 @@ def main(dtype: str, fingers: str, file: str) -> None:
     task, name = demo.three_finger_lift(0), f"replay-{os.getpid()}"
     scene = task.scene if fingers == "3" else replace(task.scene, torsion=hapjax.SoftFinger(0.004, 1.0))
     scene, held = hapjax.cast(scene, dtype), task.devices[: int(fingers)]
-    recorder = devices.RecorderProcess(name, Path(file))
+    recorder = devices.RecorderProcess(name, Path(file), patience=120.0)
     bus = devices.Broadcast(name, readers=1, patience=60.0)
     result = devices.run(scene, held, 1e-3 * TICKS, broadcast=bus, overrun=5)
     code, said = recorder.wait(60.0)

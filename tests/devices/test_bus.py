@@ -133,7 +133,7 @@ def test_a_servo_puts_on_the_bus_what_it_records():
     path = np.linspace([0.0, 0.0, 0.001], [0.01, 0.0, -0.004], 60)
 
     def listen():
-        with TickReader(name) as listening:
+        with TickReader(name, 60.0) as listening:
             while not any(e.kind == "end" for e in listening.events()):
                 time.sleep(0.01)
             found.extend((listening.take(), listening.about))

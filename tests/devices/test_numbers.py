@@ -38,7 +38,7 @@ def with_numbers_given(name, give, dtype=float):
     loop = threading.Thread(target=devices.run, args=(table(dtype), [rubbing()], None), kwargs=options)
     loop.start()
     try:
-        with devices.TickReader(name) as reader, devices.Numbers(name) as numbers:
+        with devices.TickReader(name, 60.0) as reader, devices.Numbers(name, 60.0) as numbers:
             before = ticks_of(reader, 50)
             given = give(numbers)
             after = ticks_of(reader, 100)

@@ -234,7 +234,7 @@ def test_a_device_that_fails_when_it_is_let_go_costs_nothing_but_itself():
     scene, watched = deep(breaks_at=21)
 
     def listen():
-        with devices.TickReader(name) as reader:
+        with devices.TickReader(name, 60.0) as reader:
             while not any(event.kind == "end" for event in heard):
                 heard.extend(reader.events())
                 time.sleep(0.01)
