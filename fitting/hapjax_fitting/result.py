@@ -57,7 +57,7 @@ class FitResult:
     (p,), the same with the estimates of those that gradients do not see; `information`
     (p, p) of them, J'V^-1 J, Fisher's for the variances V that the residuals turned out to have; `variance`, their mean;
     `widened` (p,), by how many times the standard errors are above those of Gauss-Newton, as noise that was estimated turned
-    out to be uneven.
+    out to be uneven, or sensors to read in steps.
     """
 
     parameters: Mapping[str, Estimate]

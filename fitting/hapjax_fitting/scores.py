@@ -11,6 +11,7 @@ from .noise import correlation_time, lost
 from .parameters import stems_of
 from .problem import Problem, channels_of, pieces_of, residuals_at
 from .robust import curvature, slope, unrooted
+from .rounding import measured_in, readings_of, steps_in, together
 from .uncertainty import Certainty
 
 _STEP = {np.dtype("float64"): 1e-4, np.dtype("float32"): 0.1}  # standard errors
@@ -32,7 +33,8 @@ def widened(
     be there just where a number shows. So each sample's pull on each estimate is looked at, (J'J)^-1 J_t' r_t, and the
     variance of their sum, times the residuals' `correlation_time` (White 1980, A heteroskedasticity-consistent covariance
     matrix estimator). Noise that was given is believed, and priors are. Of a robust loss a sample's pull is psi of its
-    residual, over what psi' leaves of J'J (Huber 1981, section 7.6).
+    residual, over what psi' leaves of J'J (Huber 1981, section 7.6). Where values were read in steps, what rounding errs by
+    alike is added: the residuals do not show it.
 
     **Arguments:** `slopes`, the Jacobian by the reported numbers, in few rows, those of priors last; `back`, the derivative
     of the free numbers by the reported ones.
@@ -48,7 +50,7 @@ def widened(
         np.sum(slopes.astype(np.float64) ** 2, axis=0),
         np.sum(rows.astype(np.float64) ** 2, axis=0),
     )
-    for _, _, own, quotients in _by_recording(residuals, changes, problem, sizes):
+    for _, _, own, quotients, _ in _by_recording(residuals, changes, problem, sizes):
         found[own] += np.sum(quotients**2, axis=(0, 1))
     wrong = np.abs(found - square) > _ALIKE * square
     if wrong[steps > 0].any():
@@ -58,13 +60,19 @@ def widened(
     variance = problem.weighed * np.sum((rows @ inverse) ** 2, axis=0)
     alike, taken = _alike(residuals, problem), given or {}
     surplus = problem.measured() / (problem.measured() - problem.fitted())
-    for key, r, own, quotients in _by_recording(residuals, changes, problem, sizes):
+    coarse, read = steps_in(problem, residuals), {}
+    for key, r, own, quotients, measured in _by_recording(residuals, changes, problem, sizes):
         pull = quotients @ inverse[own]
         psi = slope(r, problem.loss)
         if key in taken:
             variance += np.sum(pull**2, axis=(0, 1)) * (1.0 if problem.loss == "squares" else np.mean(psi**2))
         else:
             variance += surplus * alike[key] * np.sum(np.einsum("nm,nmp->np", psi, pull) ** 2, axis=0)
+            for axis, step in coarse.get(key, {}).items():
+                in_units = measured[:, axis], r[:, axis] * float(getattr(problem.noise, key))
+                read.setdefault((key, axis), []).append(readings_of(step, *in_units, pull[:, axis]))
+    for (key, axis), parts in read.items():
+        variance += together(parts).variance(coarse[key][axis]) / float(getattr(problem.noise, key)) ** 2
     seen = steps > 0
     factors[seen] = np.sqrt(np.maximum(1, variance[seen] / steps[seen] ** 2))
     return factors
@@ -111,7 +119,7 @@ def _bent(
 ) -> Float[np.ndarray, "p p"]:
     """The inverse of a robust loss's own curvature, J' psi' J, where (J'J)^-1 is its like of squares."""
     matrix = rows.astype(np.float64).T @ rows
-    for _, r, own, quotients in _by_recording(residuals, changes, problem, sizes):
+    for _, r, own, quotients, _ in _by_recording(residuals, changes, problem, sizes):
         bend = curvature(r, problem.loss)
         matrix[np.ix_(own, own)] += np.einsum("nmp,nm,nmq->pq", quotients, bend, quotients, optimize=True)
     size = np.sqrt(np.diag(inverse))
@@ -124,14 +132,21 @@ def _by_recording(
     changes: Sequence[Float[np.ndarray, " n"]],
     problem: Problem,
     sizes: Float[np.ndarray, " p"],
-) -> Iterator[tuple[str, np.ndarray, list[int], np.ndarray]]:
+) -> Iterator[tuple[str, np.ndarray, list[int], np.ndarray, np.ndarray]]:
     """Of each channel of each recording: its name, the residuals (N, m), 0 where it was lost, which numbers it depends on,
-    and the difference quotients by those (N, m, q)."""
+    the difference quotients by those (N, m, q), and what was measured."""
     stems = stems_of(problem.reported)
     apart = (pieces_of(x, problem) for x in (residuals, *changes))
-    for (key, group, _, here), *there in zip(*apart, strict=True):
+    for (key, group, samples, here), *there in zip(*apart, strict=True):
+        measured = measured_in(group, samples)
         for row, place in enumerate(group.places.tolist()):
             own = [stem[place] if len(stem) > 1 else stem[0] for stem in stems]
             size = np.where(sizes[own] > 0, sizes[own], np.inf)
             quotients = np.stack([piece[row] for *_, piece in there], axis=-1) / size
-            yield key, np.where(lost(here[row][None])[0][:, None], 0, here[row]), own, quotients
+            yield (
+                key,
+                np.where(lost(here[row][None])[0][:, None], 0, here[row]),
+                own,
+                quotients,
+                measured[row],
+            )
