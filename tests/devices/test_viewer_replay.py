@@ -4,6 +4,7 @@ from contextlib import nullcontext
 from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -12,7 +13,10 @@ from hapjax.cli import main
 
 pytest.importorskip("viser", reason="the viewer needs the extra viewer")
 
-from hapjax_devices.viewer import replay  # noqa: E402
+from hapjax_devices.bus import About  # noqa: E402
+from hapjax_devices.recorder.growing import GrowingFile  # noqa: E402
+from hapjax_devices.recorder.messages import Message, Messages  # noqa: E402
+from hapjax_devices.viewer import recorded, replay  # noqa: E402
 from hapjax_devices.viewer.geometry import matrices  # noqa: E402
 from viewer_cases import Drawn  # noqa: E402
 
@@ -107,11 +111,73 @@ def test_the_scene_of_a_recording_is_that_which_is_recorded_with_it(tmp_path, mo
             writer.add_attachment(0, 0, name, "", data)
         writer.finish()
     (tmp_path / "temporary").mkdir()
-    monkeypatch.setattr(replay.tempfile, "tempdir", str(tmp_path / "temporary"))
-    scene = replay.attached_scene(file)
+    monkeypatch.setattr(recorded.tempfile, "tempdir", str(tmp_path / "temporary"))
+    scene = recorded.attached_scene(file)
     assert scene.touchable() == ["part"]
     assert float(scene.object["part"].shape.volume()) == pytest.approx(6e-3)  # pyright: ignore[reportArgumentType]
     assert not [*(tmp_path / "temporary").iterdir()]  # nothing was written elsewhere, and what was is gone
+
+
+STIFFNESS, A_CRIT = "object.block.surface.stiffness", "torsion.critical_area"
+
+
+@pytest.fixture(scope="module")
+def pressed(tmp_path_factory):
+    """The recording of a run, 60 ticks of two fingers 1 mm deep in a block that is twice as stiff from tick 33 on."""
+    surface = hapjax.Surface(1000.0, mu=0.5)
+    block = hapjax.Object(hapjax.Box((0.06,) * 3), surface, hapjax.Body(1.0))
+    scene = hapjax.Scene({"block": block}, torsion=hapjax.GravityDrop(2e-5))
+    hip = np.array([[0.029, 0.0, 0.0], [-0.029, 0.0, 0.0]])
+    packed = hapjax.pack(scene, hip, DT, live=(STIFFNESS, A_CRIT))
+    about = About.of("pressed", 1 / DT, scene, packed, [], 0)
+    ticks, memory = np.zeros(60, about.tick), np.array(packed.start)
+    for tick in range(60):
+        if tick == 33:
+            memory[packed.live[STIFFNESS]], memory[packed.live[A_CRIT]] = 2000.0, 1e-5
+        memory = np.array(packed.call(memory, jnp.asarray(hip, packed.dtype)))
+        ticks[tick]["tick"], ticks[tick]["time_ns"], ticks[tick]["hip"] = tick, 10**6 * tick, hip
+        ticks[tick]["memory"][: about.memory] = memory
+    file, messages = tmp_path_factory.mktemp("pressed") / "pressed.mcap", Messages(about)
+    growing = GrowingFile(file, about, messages.schemas)
+    for some in (ticks[:20], ticks[20:]):  # in batches, as they come
+        growing.save(messages.of_ticks(some))
+    growing.finish()
+    return scene, file
+
+
+def test_numbers_that_were_changed_meanwhile_are_played_back(pressed):
+    scene, file = pressed
+    with jax.enable_x64(True):
+        given, recording = recorded.attached_scene(file), hapjax.Recording.load(file)
+        live = recorded.recorded_numbers(file, given)
+        found = replay.course_of(given, recording, live)
+    np.testing.assert_allclose(live.since, [0, 0.033])  # where they were others, and there alone
+    np.testing.assert_allclose(live.values[STIFFNESS], [1000, 2000])
+    np.testing.assert_allclose(found.time, [0.009, 0.019, 0.029, 0.039, 0.049, 0.059])
+    np.testing.assert_allclose(
+        found.normal_force[:, 0], np.repeat([[1.0, 1.0], [2.0, 2.0]], 3, axis=0), rtol=1e-4
+    )
+    np.testing.assert_allclose(found.critical_area, np.repeat([2e-5, 1e-5], 3))
+
+
+MALFORMED = {
+    b'{"t": 1}': "a time t, and path and value",
+    b'{"t": 0, "numbers": [{"path": "torsion.twist", "value": [1]}]}': "torsion has no twist",
+    b'{"t": 0, "numbers": [{"path": "torsion.critical_area", "value": [1, 2]}]}': "is [1.0, 2.0]; allowed: finite",
+    b'{"t": 0, "numbers": [{"path": "torsion.critical_area", "value": [NaN]}]}': "is [nan]; allowed: finite",
+}
+
+
+@pytest.mark.parametrize("said", MALFORMED)
+def test_numbers_of_another_form_are_refused(said, pressed, tmp_path):
+    scene, _ = pressed
+    about = About("n", 1e3, 1, 0, 1, "float64", (), (), (), "", {}, "", 1, 0, 0, {"a": (0, 1)})
+    growing = GrowingFile(tmp_path / "a.mcap", about, Messages(about).schemas)
+    growing.save([Message("/numbers", 0, said)])
+    growing.finish()
+    with pytest.raises(hapjax.InputError, match=r"a\.mcap, /numbers: ") as refusal:
+        recorded.recorded_numbers(tmp_path / "a.mcap", scene)
+    assert MALFORMED[said] in str(refusal.value)
 
 
 REFUSED = {

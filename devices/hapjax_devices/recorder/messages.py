@@ -58,6 +58,9 @@ class Messages:
         self.schemas = {f"/{name}": (f"hapjax.{name}", schema(name)) for name in self._channels}
         self.schemas["/servo"] = ("hapjax.servo", _object(t=_NUMBER, **dict.fromkeys(SERVO, _NUMBER)))
         self.schemas["/event"] = ("foxglove.Log", _log_schema())
+        if about.live:
+            self.schemas["/numbers"] = ("hapjax.numbers", _numbers_schema())
+        self._numbers: list[float] = []  # those that were recorded last
         self.unfit = dict.fromkeys(self._channels, 0)
 
     def of_ticks(self, ticks: np.ndarray) -> Iterator[Message]:
@@ -82,6 +85,21 @@ class Messages:
         columns = [times.tolist(), *(ticks[name].tolist() for name in SERVO)]
         for row, stamp in zip(zip(*columns, strict=True), stamps.tolist(), strict=True):
             yield Message("/servo", stamp, (self._servo % row).encode())
+        if self._about.live:
+            yield from self._of_numbers(ticks["memory"][:, self._about.live_at], times, stamps)
+
+    def _of_numbers(self, held: np.ndarray, times: np.ndarray, stamps: np.ndarray) -> Iterator[Message]:
+        """The live numbers, where they are not what they were."""
+        others = np.flatnonzero(np.any(held[1:] != held[:-1], axis=1)) + 1
+        for row in [0, *others.tolist()]:
+            if (values := held[row].tolist()) != self._numbers:
+                self._numbers, left = values, iter(values)
+                said = [
+                    {"path": path, "value": [next(left) for _ in range(first, end)]}
+                    for path, (first, end) in self._about.live.items()
+                ]
+                data = json.dumps({"t": float(times[row]), "numbers": said}, separators=(",", ":"))
+                yield Message("/numbers", int(stamps[row]), data.encode())
 
     def of_event(self, event: Event) -> Message:
         """An event as a `foxglove.Log`, with what else there is to say of it."""
@@ -111,6 +129,12 @@ def _template(name: str, count: int) -> str:
 
 def _object(**fields) -> bytes:
     return json.dumps({"type": "object", "properties": fields, "required": list(fields)}).encode()
+
+
+def _numbers_schema() -> bytes:
+    numbers = {"type": "array", "items": _NUMBER}
+    item = {"type": "object", "properties": {"path": _TEXT, "value": numbers}}
+    return _object(t=_NUMBER, numbers={"type": "array", "items": item})
 
 
 def _log_schema() -> bytes:

@@ -1,12 +1,11 @@
 """A recording played back on a page, with a time bar: what was recorded, and the touches that a scene makes of it."""
 
-import tempfile
 import time
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,9 +15,8 @@ import hapjax
 from hapjax import InputError, Scene, load_scene
 from hapjax.body import Motion, centre_within
 from hapjax.errors import within
-from hapjax.extras import need
+from hapjax.paths import part_at
 from hapjax.recording import Recording
-from hapjax.scene_file import scene_from_dict
 
 from . import plots
 from .geometry import placed
@@ -26,6 +24,7 @@ from .live import FRAME, at_first, looks, newest
 from .moments import Moments, moments
 from .plots import Plots
 from .process import stop_asked
+from .recorded import STILL, Live, attached_scene, recorded_numbers
 from .server import serving
 from .stage import Stage, camera
 
@@ -44,8 +43,9 @@ def replay(file: Path, scene: Path | None, host: str, port: int) -> int:
     recording = Recording.load(file)
     with jax.enable_x64(True):
         given = attached_scene(file) if scene is None else load_scene(scene)
+        live = recorded_numbers(file, given) if scene is None else STILL
         with within(f"{file}: "):
-            course = course_of(given, recording)
+            course = course_of(given, recording, live)
     with serving(f"hapjax: {file.name}", host, port, camera(given)) as server:
         player = Player(server, given, course)
         while not asked:
@@ -54,26 +54,10 @@ def replay(file: Path, scene: Path | None, host: str, port: int) -> int:
     return 0
 
 
-def attached_scene(file: Path) -> Scene:
-    """The scene that a recording of `hapjax run` has with it. **Raises:** `InputError` where there is none."""
-    found = {}
-    if file.suffix.lower() == ".mcap":
-        with file.open("rb") as opened:
-            reader = need("mcap.reader", "recording").make_reader(opened)
-            found = {each.name: each.data for each in reader.iter_attachments()}
-    if "scene.toml" not in found:
-        raise InputError(f"{file}: no scene is recorded with it; allowed: with --scene")
-    with tempfile.TemporaryDirectory() as folder:
-        for name, data in found.items():
-            place = Path(folder, name)
-            if place.resolve().is_relative_to(Path(folder).resolve()):
-                place.parent.mkdir(parents=True, exist_ok=True)
-                place.write_bytes(data)
-        return scene_from_dict(tomllib.loads(found["scene.toml"].decode()), Path(folder))
-
-
-def course_of(scene: Scene, recording: Recording) -> Moments:
+def course_of(scene: Scene, recording: Recording, live: Live = STILL) -> Moments:
     """The moments of a recording, `RATE` a second.
+
+    **Arguments:** `live`, what became of numbers of the scene meanwhile.
 
     The objects are where they were recorded, and go where the scene lets them where they were not; the touches are those
     of the scene's surfaces, the forces those recorded, or the scene's where there are none.
@@ -91,8 +75,9 @@ def course_of(scene: Scene, recording: Recording) -> Moments:
     turned = scene.torsion is not None and scene.torsion.needs_gimbal
     gimbals = recording.gimbal_at(times) if turned else None
     motions = None if recording.pose is None else _motions(scene, recording, times + dt, dt)
-    stack = tuple(
-        None if x is None else x[:count].reshape(-1, every, *x.shape[1:]) for x in (hips, gimbals, motions)
+    numbers = live.at(times)
+    stack = jax.tree.map(
+        lambda x: x[:count].reshape(-1, every, *x.shape[1:]), (hips, gimbals, motions, numbers)
     )
     force, pose, touch = jax.device_get(_course(scene, *stack))
     kept = slice(every - 1, count, every)
@@ -102,21 +87,24 @@ def course_of(scene: Scene, recording: Recording) -> Moments:
     names = list(scene.object)
     everything[:, [names.index(name) for name in scene.moving()]] = pose
     felt = [names.index(name) for name in scene.touchable()]
-    critical = np.full(len(force), float(getattr(scene.torsion, "critical_area", np.nan)))
+    critical = np.full(count, float(getattr(scene.torsion, "critical_area", np.nan)))
+    critical = numbers.get("torsion.critical_area", critical)[kept]
     clock = times[kept] - recording.hip_t[0]
     return moments(clock, hips[:count][kept], force, everything, felt, touch, critical)
 
 
 @jax.jit
-def _course(scene: Scene, hips: Any, gimbals: Any, motions: Any) -> Any:
-    """The force, the poses and the touches at the end of each group of steps; `motions`: see `_motions`."""
+def _course(scene: Scene, hips: Any, gimbals: Any, motions: Any, numbers: dict[str, Any]) -> Any:
+    """The force, the poses and the touches at the end of each group of steps; `motions`: see `_motions`; `numbers` of the
+    scene that are others at each step, by path."""
     state = hapjax.init(scene, hips[0, 0], None if gimbals is None else gimbals[0, 0])
     if motions is not None:
         state = replace(state, motion=_moved(state.motion, motions[0, 0]))
 
     def one(state: hapjax.State, x: Any) -> Any:
-        hip, gimbal, motion = x
-        after, reply = hapjax.step(scene, state, hip, gimbal=gimbal)
+        hip, gimbal, motion, numbers = x
+        now = eqx.tree_at(lambda s: [part_at(s, path) for path in numbers], scene, list(numbers.values()))
+        after, reply = hapjax.step(now, state, hip, gimbal=gimbal)
         if motion is not None:
             after = replace(after, motion=_moved(after.motion, motion))
         pose = [jnp.concatenate([m.position, m.orientation]) for m in after.motion.values()]
@@ -131,7 +119,7 @@ def _course(scene: Scene, hips: Any, gimbals: Any, motions: Any) -> Any:
         state, found = jax.lax.scan(one, state, x)
         return state, jax.tree.map(lambda each: each[-1], found)
 
-    return jax.lax.scan(group, state, (hips, gimbals, motions))[1]
+    return jax.lax.scan(group, state, (hips, gimbals, motions, numbers))[1]
 
 
 def _moved(motion: dict[str, Motion], known: Float[Array, "O 13"]) -> dict[str, Motion]:
