@@ -97,12 +97,20 @@ class Page:
             self.page.wait_for_timeout(50)
         self.page.mouse.up()
 
+    def input(self, label):
+        """What a user sets what is called so in: of a slider the number beside it."""
+        row = self.page.get_by_text(label, exact=True).locator("xpath=ancestor::div[.//input][1]")
+        return row.locator("input").last
+
     def enter(self, label, number):
         """Set a slider by the number beside it."""
-        row = self.page.get_by_text(label, exact=True).locator("xpath=ancestor::div[.//input][1]")
-        box = row.locator("input").last
-        box.fill(str(number))
-        box.press("Enter")
+        self.input(label).fill(str(number))
+        self.input(label).press("Enter")
+
+    def picture(self):
+        """What is seen of the scene, a second later."""
+        self.page.wait_for_timeout(1000)
+        return self.page.screenshot(clip={"x": 0, "y": 0, "width": 550, "height": 700})
 
     def keep(self, name):
         """Keep a picture of it."""
@@ -201,6 +209,28 @@ def test_anyone_grasps_the_cube(browser, folder):
             page.page.wait_for_timeout(1000)
             page.keep("grasp.png")
             assert until(reader, lambda tick: True)["memory"][places[2]] > 0.04  # it is held
+        assert page.failed == []
+        page.page.close()
+    finally:
+        assert command.end() == 0
+
+
+def test_a_recording_is_played_back_where_the_time_bar_says(browser, folder):
+    t = np.arange(0, 2, 0.01)
+    grip = 0.036 - 0.011 * np.clip(t / 0.3, 0, 1)
+    rise = 0.03 + 0.04 * np.clip((t - 0.5) / 1.0, 0, 1)
+    hip = np.stack([np.stack([side * grip, 0 * t, rise], axis=1) for side in (-1, 1)], axis=1)
+    hapjax.Recording(hip=hip, hip_t=t).save(folder / "lift.npz")
+    command = Command("view", folder / "lift.npz", "--scene", folder / "cube.toml", "--port", "0")
+    try:
+        page = Page(browser, command.url, hapjax.load_scene(folder / "cube.toml"))
+        page.input("playing").uncheck(force=True)
+        page.enter("time (s)", 0.1)
+        before = page.picture()
+        assert page.picture() == before  # it stands still
+        page.enter("time (s)", 1.9)
+        assert page.picture() != before
+        page.keep("replay.png")
         assert page.failed == []
         page.page.close()
     finally:
