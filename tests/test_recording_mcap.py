@@ -153,8 +153,8 @@ def body(kind, v):
     return {"position": vector(*v[:3]), "orientation": vector(x, y, z) | {"w": w}}
 
 
-def bag(path, topics):
-    """A bag as ROS writes it: of each topic its type, stamps (ns) and numbers."""
+def bag(path, topics, stamped=None):
+    """A bag as ROS writes it: of each topic its type, stamps (ns) and numbers; topics that are not `stamped` have none."""
     with open(path, "wb") as file:
         writer = RosWriter(file)
         for topic, (kind, stamps, numbers) in topics.items():
@@ -163,7 +163,8 @@ def bag(path, topics):
             for stamp, v in zip(np.asarray(stamps).tolist(), np.asarray(numbers).tolist(), strict=True):
                 said = body(plain, v)
                 if kind != plain:
-                    at = {"sec": stamp // 10**9, "nanosec": stamp % 10**9}
+                    shown = stamp if stamped is None or topic in stamped else 0
+                    at = {"sec": shown // 10**9, "nanosec": shown % 10**9}
                     said = {"header": {"stamp": at, "frame_id": "world"}, plain.lower(): said}
                 writer.write_message(topic, schema, said, stamp if kind == plain else stamp + 12345, stamp)
         writer.finish()
@@ -202,6 +203,16 @@ def test_fingers_with_clocks_of_their_own_are_brought_together(tmp_path):
     assert (finding.channel, finding.kind, finding.count) == ("hip", "times differ", 98)
     assert recording.hip is not None
     np.testing.assert_allclose(recording.hip, PATH[1:-1], rtol=0, atol=1e-7)
+
+
+def test_stamps_that_were_never_set_give_way_to_the_times_of_logging(tmp_path):
+    topics = {"/tip": ("PointStamped", STAMPS, PATH[:, 0]), "/push": ("WrenchStamped", STAMPS, PUSH[:, 0])}
+    path = bag(tmp_path / "a.mcap", topics, stamped=("/tip",))
+    recording = load_recording(path, {"hip": "/tip", "force": "/push"})
+    (finding,) = recording.findings
+    assert (finding.channel, finding.kind, finding.count) == ("force", "no stamps", 100)
+    assert "/push" in finding.sentence and recording.force_t is not None
+    np.testing.assert_allclose(recording.force_t, 1e-3 * np.arange(100) + 12345e-9, rtol=0, atol=1e-12)
 
 
 BAD_TOPICS = {

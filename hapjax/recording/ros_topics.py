@@ -2,7 +2,8 @@
 
 Each finger's `hip` is a topic of Point, PointStamped, Pose or PoseStamped messages (of a pose the position is taken), its
 `force` one of Wrench or WrenchStamped, each object's `pose` one of Pose or PoseStamped. Stamped messages have the time of
-their stamp, the others that of their logging. The frames are believed to be the world's.
+their stamp, the others, and those of a topic whose stamps were never set, that of their logging. The frames are believed to
+be the world's.
 """
 
 from array import array
@@ -74,8 +75,13 @@ def read(path: Path, topics: Mapping[str, Sequence[str]]) -> Content:
         if topic not in tracks:
             found = ", ".join(f"{t} ({kind})" for t, kind in sorted(seen.items())[:20]) or "none"
             raise InputError(f"{path}: expected messages on the topic {topic}, found {found[:2000]}")
-    begin = min(min(track.stamps) for track in tracks.values())
     arrays, findings = {}, list(scan.findings())
+    for topic, track in tracks.items():
+        if track.fall_back():
+            sentence = f"the messages of {topic} have no stamps: all are 0"
+            done = "their times are those of their logging"
+            findings.append(Finding(wanted[topic], "no stamps", sentence, done, count=len(track.stamps)))
+    begin = min(min(track.stamps) for track in tracks.values())
     for channel, names in topics.items():
         with within(f"{path}: "):
             joined, finding = _joined(channel, [tracks[name] for name in names], begin)
@@ -100,15 +106,15 @@ def _checked(topics: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
 
 
 class _Track:
-    """The messages of one topic so far, in little room: stamps (ns) and numbers."""
+    """The messages of one topic so far, in little room: stamps and times of logging (ns), and numbers."""
 
     def __init__(self, topic: str, decode: Callable, kind: str, stamped: bool, pose: bool):
         self.topic, self.decode, self.kind, self.stamped, self.pose = topic, decode, kind, stamped, pose
-        self.stamps, self.numbers = array("q"), array("d")
+        self.stamps, self.logged, self.numbers = array("q"), array("q"), array("d")
 
     @property
     def room(self) -> int:
-        return 8 * (len(self.stamps) + len(self.numbers))
+        return 8 * (2 * len(self.stamps) + len(self.numbers))
 
     def add(self, path: Path, message) -> None:
         try:
@@ -120,6 +126,7 @@ class _Track:
             )
             body = getattr(said, _BODIES[self.kind]) if self.stamped else said
             self.stamps.append(stamp)
+            self.logged.append(message.log_time)
         except Exception as error:  # whatever the decoder makes of damaged bytes
             where = f"{path}, topic {self.topic}, message {len(self.stamps)}"
             raise InputError(f"{where}: expected a whole {self.kind}, found a damaged one") from error
@@ -128,6 +135,13 @@ class _Track:
         if self.pose:
             turn = body.orientation
             self.numbers.extend((turn.w, turn.x, turn.y, turn.z))
+
+    def fall_back(self) -> bool:
+        """Take the times of logging where no stamp was set; whether that is so."""
+        unset = len(self.stamps) > 1 and not any(self.stamps)
+        if unset:
+            self.stamps = self.logged
+        return unset
 
     def samples(self, begin: int) -> tuple[np.ndarray, np.ndarray]:
         """Times (T,) s after `begin` (ns), taken off before rounding, and numbers (T, 3 or 7)."""
