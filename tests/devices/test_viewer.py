@@ -1,5 +1,7 @@
 """What the viewer draws: where things are and how large, from a run's own ticks; where a hand's parts are; its sliders."""
 
+import io
+import json
 import threading
 from dataclasses import replace
 from types import SimpleNamespace
@@ -23,7 +25,7 @@ from hapjax_devices.viewer import stage as drawing  # noqa: E402
 from hapjax_devices.viewer.live import Decoder  # noqa: E402
 from hapjax_devices.viewer.plots import NOWHERE, cone  # noqa: E402
 from hapjax_devices.viewer.server import is_own, serving  # noqa: E402
-from hapjax_devices.viewer.shapes import triangles  # noqa: E402
+from hapjax_devices.viewer.shapes import CLEAR, SOLID, glb, triangles  # noqa: E402
 from hapjax_devices.viewer.sliders import Sliders, scale  # noqa: E402
 
 MU, STIFFNESS, A_CRIT = 0.5, 1000.0, 1e-6
@@ -146,8 +148,22 @@ def test_a_shape_is_drawn_where_it_is_felt_and_outside_out(name):
     volume = np.sum(np.einsum("ij,ij->i", a, np.cross(b, c))) / 6
     wanted = shape.volume()
     assert wanted is not None and volume == pytest.approx(float(wanted), rel=0.02)
-    depth = jax.vmap(lambda vertex: shape.closest(vertex).depth)(jnp.asarray(vertices))
+    depth = jax.jit(jax.vmap(lambda vertex: shape.closest(vertex).depth))(jnp.asarray(vertices))
     np.testing.assert_allclose(depth, 0, atol=1e-6)
+
+
+def test_what_is_translucent_hides_nothing_and_has_the_colour_that_is_asked_for():
+    from trimesh.exchange.load import load
+
+    for surface, opacity in ((hapjax.Surface(1000.0, mu=0.5), CLEAR), (None, SOLID)):
+        data = glb(hapjax.Object(hapjax.Sphere(0.1), surface), (128, 255, 0))
+        header = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+        (material,) = header["materials"]
+        assert material["alphaMode"] == "BLEND"  # of which three.js does not write the depth
+        colour = material["pbrMetallicRoughness"]["baseColorFactor"]
+        np.testing.assert_allclose(colour, [0.22, 1.0, 0.0, opacity], atol=5e-3)
+        made: Any = load(io.BytesIO(data), file_type="glb", force="mesh")
+        np.testing.assert_allclose(np.linalg.norm(made.vertices, axis=1), 0.1, rtol=1e-6)
 
 
 def test_turns_and_rods():

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 
 def matrices(quaternions: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3 3"]:
-    """The matrices of unit quaternions w x y z."""
+    """The matrices of unit quaternions w x y z; NaN of NaN, which scipy refuses: so is an object that its scene has lost."""
     w, x, y, z = np.moveaxis(np.asarray(quaternions), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -3,21 +3,37 @@
 import numpy as np
 import trimesh
 from trimesh import creation
+from trimesh.exchange.gltf import export_glb
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
-from hapjax.shape import Box, Capsule, Cylinder, Mesh, Plane, Shape, Sphere
+from hapjax import Object
+from hapjax.shape import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 
-PLANE = 0.6  # m, edge length of the part of a plane that is drawn
+CLEAR, SOLID = 0.55, 0.9  # opacities of what fingers feel, and go into, and of all else
+
+
+def glb(thing: Object, colour: tuple[int, int, int]) -> bytes:
+    """An object as binary glTF.
+
+    By that format what is translucent hides nothing behind it; viser's own meshes do, as the order happens to be in which
+    they are drawn.
+    """
+    vertices, faces, flat = triangles(thing.shape)
+    opacity = SOLID if thing.surface is None else CLEAR
+    linear = (np.array(colour) / 255) ** 2.2  # glTF has colours as light, not as screens have them
+    material = PBRMaterial(
+        baseColorFactor=[*linear, opacity], metallicFactor=0.0, roughnessFactor=1.0, alphaMode="BLEND"
+    )
+    visual = TextureVisuals(material=material)
+    mesh = trimesh.Trimesh(vertices, faces, visual=visual, process=False)
+    return export_glb(mesh, include_normals=not flat)
 
 
 def triangles(shape: Shape) -> tuple[np.ndarray, np.ndarray, bool]:
     """The vertices (V, 3), m, and the triangles (T, 3) of a shape in its own frame, and whether its sides are flat."""
-    match shape:
-        case Plane():
-            half = PLANE / 2
-            corners = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0]])
-            return corners, np.array([[0, 1, 2], [0, 2, 3]]), True
-        case Mesh():
-            return np.asarray(shape.vertices * shape.scale), np.asarray(shape.triangles), not shape.shaded
+    if isinstance(shape, Mesh):
+        return np.asarray(shape.vertices * shape.scale), np.asarray(shape.triangles), not shape.shaded
     solid, flat = _solid(shape)
     return np.asarray(solid.vertices), np.asarray(solid.faces), flat
 

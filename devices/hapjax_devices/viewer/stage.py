@@ -11,7 +11,7 @@ from hapjax.shape import Plane
 from .geometry import from_z, placed, ring, rods
 from .hand import hand
 from .moments import Moments
-from .shapes import triangles
+from .shapes import glb, triangles
 
 FINGERS = ((31, 119, 180), (230, 97, 1), (44, 140, 70), (148, 70, 180), (200, 40, 60))  # their colours
 OBJECTS = ((125, 145, 175), (185, 160, 115), (135, 165, 130), (170, 135, 160))
@@ -35,13 +35,12 @@ class Stage:
 
     def __init__(self, server: Any, scene: Scene, fingers: int):
         self._scene, self._fingers = server.scene, fingers
-        self.felt = [index for index, thing in enumerate(scene.object.values()) if thing.surface is not None]
         self._objects = [
             self._object(name, thing, OBJECTS[index % len(OBJECTS)])
             for index, (name, thing) in enumerate(scene.object.items())
         ]
         colours = np.array([FINGERS[finger % len(FINGERS)] for finger in range(fingers)], np.uint8)
-        touches = len(self.felt) * fingers
+        touches = len(scene.touchable()) * fingers
         self._hips = self._balls("hips", HIP, colours)
         self._gods = self._balls("god_objects", GOD, np.array([DARK] * touches, np.uint8))
         self._pulls = server.scene.add_line_segments(
@@ -122,16 +121,7 @@ class Stage:
             grid: Any = dict(width=0.6, height=0.6, cell_size=0.01, section_size=0.05, cell_thickness=0.5)
             grid |= dict(plane_color=(232, 232, 228), plane_opacity=0.6, shadow_opacity=0.25)
             return self._scene.add_grid(f"/objects/{name}", **grid)
-        vertices, faces, flat = triangles(thing.shape)
-        felt = thing.surface is not None
-        return self._scene.add_mesh_simple(
-            f"/objects/{name}",
-            vertices,
-            faces,
-            color=colour,
-            opacity=0.55 if felt else 0.9,
-            flat_shading=flat,
-        )
+        return self._scene.add_glb(f"/objects/{name}", glb(thing, colour))
 
     def _balls(self, name: str, radius: float, colours: np.ndarray, opacity: float | None = None) -> Any:
         ball, count = icosphere(3, radius), len(colours)
