@@ -20,6 +20,7 @@ from .section import Images, Section
 from .solve import solve
 from .transform import Transform
 from .whole_body import NAME as WHOLE
+from .whole_body import is_whole
 
 CHI95, CHI99 = 3.841459, 6.634897  # of chi-squared with one degree of freedom
 _STEPS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # standard errors
@@ -79,11 +80,18 @@ class Profile:
 
 def check_names(names: Sequence[str], free: Sequence[str]) -> None:
     """Refuse names that the free paths do not give, before a fit has been waited for. **Raises:** `InputError`."""
-    paths = [path.split("[")[0].removesuffix(f".{WHOLE}") for path in free]
+    paths = [path.split("[")[0] for path in free if not is_whole(path)]
     for name in names:
-        path = re.split(r"\[| @ ", name)[0]
-        if not any(path == p or path.rpartition(".")[0] == p for p in paths):
-            raise InputError(f"profile names {name}, which is not free; allowed: {', '.join(free)}")
+        if re.split(r"\[| @ ", name)[0] not in paths:
+            raise _refusal(name, paths, len(paths) < len(free))
+
+
+def _refusal(name: str, allowed: Sequence[str], whole: bool) -> InputError:
+    """What is said of a name without a profile; `whole`: some numbers are free together only."""
+    instead = f"; of {WHOLE} there is none: free mass, centre and inertia in its place" if whole else ""
+    return InputError(
+        f"profile names {name}, which is not free; allowed: {', '.join(allowed) or 'none'}{instead}"
+    )
 
 
 def profile(result: FitResult, name: str) -> Profile:
@@ -94,12 +102,12 @@ def profile(result: FitResult, name: str) -> Profile:
 
     **Arguments:** `name`, one of `result.parameters`.
 
-    **Raises:** `InputError` where `name` was not free.
+    **Raises:** `InputError` where `name` was not free, or only as a part of a `pseudo_inertia`.
     """
     problem, names = result.problem, [p.name for p in result.problem.parameters]
     if name not in names or name not in result.parameters:
-        allowed = ", ".join(n for n in names if n in result.parameters)
-        raise InputError(f"profile names {name}, which is not free; allowed: {allowed or 'none'}")
+        allowed = [n for n in names if n in result.parameters]
+        raise _refusal(name, allowed, len(allowed) < len(names))
     i = names.index(name)
     transform = problem.parameters[i].transform
     centre, free = float(result.free[i]), jnp.asarray(result.free)
