@@ -53,6 +53,7 @@ def pauses(unit: float):
     return {"pass": (partial(pause, 1), 0.5), "gradient": (partial(pause, 3), float(os.getpid()))}
 
 
+@pytest.mark.slow
 def test_settings_are_those_of_processes_of_their_own():
     found = gradient_settings.side_by_side(pauses, (0.003,), {"slower": {"SLOWER": "4"}})
     assert "SLOWER" not in os.environ and list(found) == ["as it is", "slower"]

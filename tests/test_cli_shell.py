@@ -96,6 +96,7 @@ def on_a_terminal(arguments, **environment) -> str:
     return said.decode()
 
 
+@pytest.mark.slow
 def test_colours_are_for_terminals_that_want_them():
     """Of tyro's help and of a table and a bar of rich."""
     program = (

@@ -17,6 +17,7 @@ def closest(shape, queries):
     return jax.vmap(shape.closest)(queries)
 
 
+@pytest.mark.slow
 def test_a_convex_hull_of_a_boxs_corners_is_the_box():
     box = hapjax.Box((0.06, 0.04, 0.02))
     corners = [(x, y, z) for x in (0.03, -0.03) for y in (0.02, -0.02) for z in (0.01, -0.01)]

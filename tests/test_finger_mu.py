@@ -73,6 +73,7 @@ def test_derivatives_of_what_slides_agree():
         np.testing.assert_allclose(jax.jit(jacobian(dragged))(surface.finger_mu), expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_benchmark_of_stability_presses_as_the_finger_with_the_smallest_mu():
     def places(**law):
         box = hapjax.Object(hapjax.Box((0.06,) * 3), hapjax.Surface(8000.0, **law), hapjax.Body(2.0))

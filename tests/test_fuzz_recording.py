@@ -198,7 +198,7 @@ LARGE = {".npz": 1_000_000, ".parquet": 400_000, ".csv": 40_000, ".mcap": 30_000
 
 
 @pytest.mark.parametrize("suffix", LARGE)
-@pytest.mark.parametrize("part", [1.0, 0.1])
+@pytest.mark.parametrize("part", [pytest.param(1.0, marks=pytest.mark.slow), 0.1])
 def test_large_files_that_shrank_take_no_more_than_20_times_their_size(suffix, part, tmp_path):
     content = resting(tmp_path, suffix, int(LARGE[suffix] * part))
     small = tmp_path / f"small{suffix}"  # what a process takes for itself is taken before

@@ -104,6 +104,7 @@ def test_a_ball_in_a_corner_rests_on_three_walls_without_having_touched_all():
     assert np.abs(state.motion["it"].velocity).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_walls_are_those_of_brute_force():
     """Places that no triangle at them undercuts, above the planes of those nearer; a plane or a bulge has one."""
     rng, reach = np.random.default_rng(3), 0.02
@@ -203,7 +204,9 @@ def test_derivatives_of_a_ball_in_a_groove_are_the_true_ones():
         np.testing.assert_allclose(found, truth, rtol=1e-6)
 
 
-@pytest.mark.parametrize("other", [hapjax.Sphere(0.03), hapjax.Mesh(*icosphere(3, 0.03))])
+@pytest.mark.parametrize(
+    "other", [hapjax.Sphere(0.03), pytest.param(hapjax.Mesh(*icosphere(3, 0.03)), marks=pytest.mark.slow)]
+)
 def test_a_ball_that_rolls_over_something_round_without_slip_has_no_friction(other):
     """Where it touches goes a part of the way of its centre, on both; what friction holds is the material."""
     it = hapjax.Object(hapjax.Sphere(R), None, hapjax.Body(MASS), (0, 0, 0.03 + R - 2e-4))

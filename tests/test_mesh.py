@@ -414,6 +414,7 @@ def test_gradients_are_those_of_differences(local):
 # The price ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_step_has_as_many_equations_whatever_the_size():
     def program(mesh):
         return jax.make_jaxpr(lambda m, t, q: m.follow(t, q))(

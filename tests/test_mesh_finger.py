@@ -52,6 +52,7 @@ def test_with_friction_the_force_never_jumps(name):
     assert touched > 5000
 
 
+@pytest.mark.slow
 def test_what_several_planes_held_is_let_go_with_the_way():
     """Two planes at right angles held at 10 mm; the finger goes on 1 mm a step where only a third one is left."""
     surface = hapjax.Surface(1000.0, mu=[0.2, 0.5, 0.8])

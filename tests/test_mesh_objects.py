@@ -70,6 +70,7 @@ def test_a_ball_of_many_triangles_stands_within_its_bulge():
     assert float(reply.contact["pair"].normal_force[-1].sum()) == pytest.approx(mass * g, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_edges_of_a_mesh_are_few_whatever_its_size():
     box = trimesh.creation.box((0.06,) * 3).subdivide().subdivide().subdivide().subdivide()
     edges = hapjax.Mesh(box.vertices, box.faces).edges()

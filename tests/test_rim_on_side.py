@@ -122,6 +122,7 @@ def test_what_stands_on_a_drum_beside_its_axis_stays_there(small):
     assert np.asarray(reply.contact["pair"].normal_force[-1]).sum() == pytest.approx(MASS * G, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_rim_s_touch_are_those_of_differences():
     """By the drum's radius, and the rod's place and turn: along the cap's middle, where nothing is singular but symmetry."""
 

@@ -27,6 +27,7 @@ def test_matrices_and_products_are_those_of_scipy(dtype):
     assert rotation.to_matrix(first).dtype == rotation.cross_matrix(a).dtype == both.dtype == dtype
 
 
+@pytest.mark.slow
 def test_lengths_and_quotients_have_all_derivatives():
     x = jnp.array([3.0, 4.0, 12.0])
     unit = np.asarray(x) / 13

@@ -24,6 +24,7 @@ def test_volume_centre_and_inertia_are_trimeshs(name):
     np.testing.assert_allclose(mesh.inertia_per_mass() * truth.volume, 4 * truth.moment_inertia, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_the_solid_is_differentiable_in_the_vertices():
     mesh = mesh_of("notched")
     check_grads(

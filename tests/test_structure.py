@@ -194,6 +194,7 @@ def test_the_benchmark_switches_off_what_costs():
         assert equations(program(variant)) < whole or name.endswith("tangential_stiffness"), name
 
 
+@pytest.mark.slow
 def test_the_benchmark_switches_off_shading():
     tips = 0.02 * np.concatenate([np.eye(3), -np.eye(3)])
     octants = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]]

@@ -334,6 +334,7 @@ def test_without_recorded_gimbals_nothing_is_fitted():
         observation_of(held(hapjax.Gimbal(1e-5)), recording, ("force",), "lift.npz")
 
 
+@pytest.mark.slow
 def test_devices_with_gimbals_turn_the_object():
     from hapjax_devices import VirtualDevice, run
 

@@ -218,6 +218,7 @@ class Metronome(VirtualDevice):
         return super().write(force)
 
 
+@pytest.mark.slow
 def test_in_a_servo_loop_the_others_go_on():
     """Through `run`: fingers press on a floor, one through a Falcon that is unplugged for a while."""
     floor = hapjax.Object(hapjax.Plane(), hapjax.Surface(800.0, mu=0.5))

@@ -184,6 +184,7 @@ def test_a_run_without_live_numbers_says_so():
 # Runs without an end ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_run_without_an_end_goes_on_until_it_is_stopped_and_keeps_its_last_second():
     calls = iter([False] * 2499 + [True])
     sensor = devices.ForceSensor(rate=500.0, noise=0.0)

@@ -58,7 +58,7 @@ def dip(period, seconds=1.0):
     return np.stack([0 * t, 0 * t, z], axis=1)
 
 
-@pytest.mark.parametrize("period", [2e-3, 1e-3, 2.5e-4])
+@pytest.mark.parametrize("period", [2e-3, 1e-3, pytest.param(2.5e-4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("hand", [SKITTISH, FIRM], ids=["skittish", "firm"])
 def test_no_motion_gets_more_out_of_a_passive_wall_than_the_damper_takes(hand, period):
     for path in (taps(period), dip(period)):

@@ -58,6 +58,7 @@ def test_the_added_damping_is_at_most_the_most():
     np.testing.assert_allclose(force, [[0.0, 3.0 - 20.0 * 0.1, 0.0]])
 
 
+@pytest.mark.slow
 def test_a_wall_that_shakes_without_it_is_calm_with_it():
     late = slice(-round(RATE), None)
     z, _, result = press(STIFF, None)
@@ -78,6 +79,7 @@ def test_the_energy_does_not_stay_negative():
     assert 0 < len(spells) and np.max(np.diff(spells)[::2]) < 0.2 * RATE
 
 
+@pytest.mark.slow
 def test_a_wall_that_is_passive_is_left_alone():
     z, force, result = press(SOFT, Passivity(delay=1))
     assert result.passivity is not None and result.passivity.damped == 0

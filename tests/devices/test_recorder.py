@@ -288,6 +288,7 @@ def test_a_recorder_whose_disk_is_full_says_so_and_the_servo_goes_on(killed):
     assert 0 < files["full"].stat().st_size <= 40_000 and 0 < last_tick(files["full"]) < ticks["last"]
 
 
+@pytest.mark.slow
 def test_a_recorder_with_nothing_to_record_says_so(tmp_path):
     path = tmp_path / "a.mcap"
     recorder, other = RecorderProcess("nowhere", path, 0.0), RecorderProcess("nowhere", path, 600.0)

@@ -231,6 +231,7 @@ def test_asked_to_end_before_it_begins_it_ends(table, tmp_path, monkeypatch, cap
     assert capfd.readouterr() == ("", "") and not record.exists()
 
 
+@pytest.mark.slow
 def test_a_device_that_is_not_there_ends_it_with_a_sentence(table, tmp_path, capfd):
     file = tmp_path / "devices.toml"
     file.write_text("[[device]]\ntype = 'inverse3'\nurl = 'ws://127.0.0.1:9'\n")

@@ -95,6 +95,7 @@ def test_the_device_file_that_is_shown_is_taken(places):
     assert given == {"type", *(key for keys in KEYS.values() for key in keys)}  # all that there are
 
 
+@pytest.mark.slow
 def test_a_mouse_moves_fingers_where_a_session_has_such_devices(places):
     made = session(places, "cube", kinds=("browser", "virtual"))
     assert made.by_mouse and not session(places).by_mouse
@@ -106,6 +107,7 @@ def test_a_mouse_moves_fingers_where_a_session_has_such_devices(places):
     assert isinstance(slow, Slower) and isinstance(slow.device, BrowserDevice)
 
 
+@pytest.mark.slow
 def test_a_viewer_has_numbers_for_its_sliders_unless_some_are_given(places):
     felt = ("object.cube.surface.mu", "object.cube.surface.stiffness", "object.cube.body.mass")
     assert session(places, "cube").viewed().live == felt
@@ -185,7 +187,7 @@ def way(device):
     return device.path
 
 
-@pytest.mark.parametrize("scene", ["table", "cube"])
+@pytest.mark.parametrize("scene", ["table", pytest.param("cube", marks=pytest.mark.slow)])
 def test_a_virtual_operator_touches_and_lets_go_without_end(scene, places):
     made = session(places, scene).made()
     paths = np.stack([way(device) for device in made], axis=1)

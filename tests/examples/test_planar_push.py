@@ -142,6 +142,7 @@ def test_real_pushes_agree_with_the_pull_test(data_dir, tmp_path, capsys):
     assert f"{together['estimate']:.4f}" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_finds_how_far_out_the_feet_of_the_independent_simulator_stand(tmp_path):
     arm = LOADS @ np.linalg.norm(FEET, axis=1) / LOADS.sum()
     misplaced = recorded(0.3, seed=3) | {"support_points": 0.5 * FEET}
@@ -186,6 +187,7 @@ def test_real_pushes_tell_the_torsional_arm_together_with_mu(layout, arm, data_d
     assert f"{1e3 * figures['arm']['estimate']:.1f}" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_push_without_contact_is_left_out_and_said(tmp_path, capsys):
     path = save(tmp_path, without(recorded(0.3, seed=100, count=4), push=2))
     assert planar_push.main([str(path), "--json", str(tmp_path / "mu.json")]) == 0

@@ -11,6 +11,7 @@ from hapjax_fitting.reduced import reduced
 from hapjax_fitting.solve import Solutions
 
 
+@pytest.mark.slow
 def test_places_are_so_many_standard_errors_off_and_never_absurdly_far():
     problem = problem_for(floor(), [recorded(floor(), steps=100)], BOTH)
     free = problem.start()

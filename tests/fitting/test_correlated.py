@@ -44,6 +44,7 @@ def test_white_noise_and_rounding_are_no_finding(length):
     assert not correlated([("force", 1e-3 * drifting(400, 0.8))], (), "squares")
 
 
+@pytest.mark.slow
 def test_a_fit_says_so():
     t, path = stroke(150)
     noise = SIGMA * drifting(150, 0.8)[0][:, None]

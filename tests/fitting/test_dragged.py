@@ -32,6 +32,7 @@ def drags(angles, mu=0.3, across=2.0, out=1.0, noise=0.0, seed=0, dtype=None):
     return Drags(*(jnp.asarray(x, dtype) for x in values))
 
 
+@pytest.mark.slow
 def test_finds_a_friction_ellipse_and_how_far_out_the_feet_stand():
     angles = np.linspace(0.1, 6.0, 9)
     found = fit_drags(

@@ -30,6 +30,7 @@ def found(result, name) -> Any:
     return p.estimate, p.standard_error
 
 
+@pytest.mark.slow
 def test_two_mus_and_one_stiffness():
     recordings = [recorded(floor(0.9), 0), recorded(floor(0.4), 1)]
     result = fit(OFF, recordings, FREE, each=MU, names=NAMES, **OPTIONS)
@@ -66,6 +67,7 @@ def test_one_that_never_slips_has_a_bound_of_its_own():
     assert wet.interval95[0] is not None and 0 < wet.interval95[0] < 0.4
 
 
+@pytest.mark.slow
 def test_sensors_of_each():
     recordings = [recorded(floor(), 0), recorded(floor(), 1)]
     assert recordings[1].force is not None

@@ -116,6 +116,7 @@ def problem_of(scene, recordings, free=BOTH):
 residuals_of = jax.jit(stacked_residuals)
 
 
+@pytest.mark.slow
 def test_the_jacobian_is_that_of_central_differences():
     problem = problem_of(OFF, [recorded(floor())])
     free, h = jnp.log(jnp.array([0.55, 770.0])), 1e-6
@@ -158,6 +159,7 @@ def light_press(truth):
     return Recording(hip=path, hip_t=t, force=force, force_t=t)
 
 
+@pytest.mark.slow
 def test_without_slip_the_optimum_is_found_from_a_mu_at_which_all_starts_slip():
     result = fitted(light_press(floor()), scene=floor(0.05, 1600.0), noise=None)
     mu = result.parameters[MU]
@@ -181,6 +183,7 @@ def test_a_dead_sensor_gives_no_bound(noise):
     assert mu.interval95 == (None, None) and "slipped" not in mu.reason
 
 
+@pytest.mark.slow
 def test_without_contact_nothing_is_identified():
     t, path = stroke()
     force = SIGMA * np.random.default_rng(0).standard_normal((len(t), 1, 3))
@@ -269,6 +272,7 @@ def test_static_and_kinetic_friction_are_told_apart(tmp_path):
     assert stuck[free[1]].reason == "nothing slid"
 
 
+@pytest.mark.slow
 def test_an_object_may_be_called_as_a_number_is():
     scene = hapjax.Scene(
         object={

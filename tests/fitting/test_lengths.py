@@ -20,6 +20,7 @@ def problem(monkeypatch, most):
     return problem_for(floor(), RECORDINGS, [MU, STIFFNESS, "sensor.force_delay"], (MU,))
 
 
+@pytest.mark.slow
 def test_the_fit_is_that_of_each_as_long_as_it_is(monkeypatch):
     filled, apart = problem(monkeypatch, 1.25), problem(monkeypatch, 1.0)
     assert [g.count for g in filled.groups] == [2, 1] and [g.count for g in apart.groups] == [1, 1, 1]

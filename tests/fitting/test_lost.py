@@ -139,6 +139,7 @@ def test_of_what_moves_the_next_restart_finds_it_again():
         np.testing.assert_allclose(found[key][~rows], expected[key][~rows], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_nothing_is_claimed_where_the_model_is_lost_at_all_samples(tmp_path):
     bad = astray(recorded(floor(), steps=200), slice(0, 200))
     result = fit(OFF, bad, BOTH, **OPTIONS)

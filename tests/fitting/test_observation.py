@@ -129,6 +129,7 @@ def test_quaternions_of_either_sign_are_interpolated(monkeypatch):
     np.testing.assert_allclose(predicted(scene, observation)["pose"], smooth, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_residuals_in_one_vector_are_taken_apart_by_channel():
     scene, observation = ball(fixed=False), falling(np.array([0.0, 0.0045]))
     noise = Noise(*(jnp.asarray(x) for x in (1.0, 1e-3, 0.01)))

@@ -30,6 +30,7 @@ def fitted(lowest: float, radius: float) -> Any:
     return fit(ball(radius), pressed(lowest), [RADIUS], noise={"force": SIGMA}, starts=1)
 
 
+@pytest.mark.slow
 def test_a_number_without_influence_is_looked_for_elsewhere():
     p = fitted(0.048, 0.002).parameters[RADIUS]
     assert p.identified and abs(p.estimate - 0.05) < 4 * p.standard_error < 1e-4

@@ -38,6 +38,7 @@ def test_with_little_noise_the_posterior_is_the_gauss_newton_one():
     assert set(found.to_dict()["parameters"]) == set(BOTH)
 
 
+@pytest.mark.slow
 def test_refusals(monkeypatch):
     with pytest.raises(InputError, match="samples is 10; allowed: a whole number from 50 to 100000"):
         posterior(fitted(), samples=10)

@@ -22,6 +22,7 @@ def number(result, name) -> Any:
     return p.estimate, p.standard_error
 
 
+@pytest.mark.slow
 def test_the_posterior_of_a_linear_model_is_the_analytic_one():
     recording = recorded(floor())
     assert recording.force is not None
@@ -40,6 +41,7 @@ def test_the_posterior_of_a_linear_model_is_the_analytic_one():
     assert result.loss == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_prior_and_data_of_unknown_noise_are_weighed_by_what_each_is_worth():
     """Neighbours err alike, and by more than their differences show. The data are worth their effective variance."""
     path = stroke()[1]
@@ -60,6 +62,7 @@ def test_a_prior_and_data_of_unknown_noise_are_weighed_by_what_each_is_worth():
     assert ends == pytest.approx((middle - half, middle + half), abs=0.05 * error)
 
 
+@pytest.mark.slow
 def test_a_prior_fixes_a_mu_that_nothing_shows():
     recording = recorded(floor(), **NO_SLIP)
     alone = fit(floor(0.9), recording, [MU, STIFFNESS], **OPTIONS)
@@ -73,6 +76,7 @@ def test_a_prior_fixes_a_mu_that_nothing_shows():
     np.testing.assert_allclose(number(result, STIFFNESS), number(alone, STIFFNESS), rtol=0.2)
 
 
+@pytest.mark.slow
 def test_a_prior_on_one_of_two_that_only_show_together_fixes_both():
     free = [STIFFNESS, "sensor.force_gain"]
     known = {"sensor.force_gain": (1.0, 0.03)}
@@ -83,6 +87,7 @@ def test_a_prior_on_one_of_two_that_only_show_together_fixes_both():
     assert gain == pytest.approx(1, abs=0.02) and error == pytest.approx(0.03, rel=0.05)
 
 
+@pytest.mark.slow
 def test_between_bounds_a_prior_is_gaussian():
     recording, bounds = recorded(floor(), **NO_SLIP), {MU: (0.5, 3.0)}
     result = fit(floor(0.9), recording, MU, bounds=bounds, priors={MU: (1.2, 0.05)}, **OPTIONS)

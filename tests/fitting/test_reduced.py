@@ -11,6 +11,7 @@ from hapjax_fitting.reduced import reduced
 from hapjax_fitting.solve import jacobian
 
 
+@pytest.mark.slow
 def test_inner_products_are_those_of_all_rows():
     """Of recordings of two lengths, each with a mu of its own, with a prior, and a loss other than squares."""
     recordings = [recorded(floor(0.9), i, steps=steps) for i, steps in enumerate((60, 60, 45))]

@@ -119,6 +119,7 @@ def test_a_truth_of_what_was_not_free_is_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_plots_are_drawn_only_when_a_report_is_written():
     program = "import sys, hapjax_fitting; assert not {'matplotlib', 'PIL'} & set(sys.modules)"
     assert subprocess.run([sys.executable, "-c", program]).returncode == 0

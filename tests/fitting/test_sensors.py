@@ -41,6 +41,7 @@ def turn(sensors) -> Rotation:
     return Rotation.from_rotvec(np.array(sensors.hip_rotation))
 
 
+@pytest.mark.slow
 def test_bias_gain_delay_and_frame_are_found_together():
     truth = Sensors(**ALL)
     options: dict[str, Any] = {"noise": {"force": SIGMA}, "starts": 2}
@@ -54,6 +55,7 @@ def test_bias_gain_delay_and_frame_are_found_together():
         np.testing.assert_allclose(getattr(result.sensors, name), numbers, atol=0.02)
 
 
+@pytest.mark.slow
 def test_known_sensors_are_taken_off(monkeypatch):
     """Also for what is looked for that is odd."""
     known = []

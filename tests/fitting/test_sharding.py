@@ -118,6 +118,7 @@ def test_processes_that_cannot_be(options, message, tmp_path, capsys):
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_there_must_be_a_job(tmp_path):
     command = [HAPJAX, *written(tmp_path, 1), "--distributed"]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -133,6 +134,7 @@ def test_batches_hold_each_recording_once(at_once):
     np.testing.assert_array_equal(found["sum"], 2 * stacked["a"] + np.arange(7.0)[:, None])
 
 
+@pytest.mark.slow
 def test_devices_share_recordings_evenly_or_not():
     program = """
 import jax, numpy as np

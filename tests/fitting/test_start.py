@@ -57,6 +57,7 @@ def numbers(start: Start) -> np.ndarray:
     return np.concatenate([part(start, name) for name in PARTS])
 
 
+@pytest.mark.slow
 def test_the_starts_of_two_throws_are_found_together():
     result = fit(scene(), RECORDINGS, FREE, each=FREE, noise=NOISE, starts=1, names=NAMES)
     assert result.converged
@@ -111,6 +112,7 @@ def test_a_state_begins_as_it_is_told(dtype):
         assert value.dtype == dtype
 
 
+@pytest.mark.slow
 def test_on_the_command_line_as_any_number(tmp_path):
     files = [str(tmp_path / f"{name}.npz") for name in NAMES]
     for file, recording in zip(files, RECORDINGS, strict=True):

@@ -26,6 +26,7 @@ def pressed() -> Any:
     return fit(floor(0.5, 700.0), pressing(), BOTH, noise={"force": SIGMA}, starts=2)
 
 
+@pytest.mark.slow
 def test_after_pressing_alone_a_stroke_is_suggested_for_mu():
     found = suggest(pressed())
     strokes = {"slow stroke", "fast stroke", "stroke with rising load", "circle"}
@@ -55,6 +56,7 @@ def test_what_is_promised_is_what_a_recording_of_it_gives():
         )
 
 
+@pytest.mark.slow
 def test_a_heavier_press_is_suggested_where_the_stiffness_alone_is_free():
     result = fit(floor(0.5, 700.0), pressing(), [STIFFNESS], noise={"force": SIGMA}, starts=2)
     assert suggest(result).best in ("press", "stroke with rising load")
@@ -73,6 +75,7 @@ def test_the_command_line_says_and_writes_it(tmp_path, capsys):
     assert "<h2>What to record next</h2>" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_without_a_contact_there_is_nothing_to_go_by():
     recording = recorded(floor(), steps=200, depth=-5e-4)
     with pytest.raises(InputError, match="nothing touched"):
