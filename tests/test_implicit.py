@@ -249,6 +249,18 @@ def test_gradients_are_those_of_differences(case):
     assert off.max() < 1e-5 * scale
 
 
+def test_neither_a_step_nor_its_gradient_calls_a_library():
+    """A single call, of LAPACK say, forbids the compiler to make one function of a loop of steps, many times as fast."""
+    scene = cube_on_floor(height=0.0199)
+    state, hips = hapjax.init(scene, away(1)[0]), away(3)
+
+    def end(scene):
+        return jnp.sum(hapjax.rollout(scene, state, hips)[0].motion["cube"].position)
+
+    said = jax.jit(jax.grad(end, allow_int=True)).lower(scene).as_text()
+    assert "lapack" not in said and "dot_general" not in said
+
+
 # A grasp at rest ------------------------------------------------------------------------------------------
 
 

@@ -37,7 +37,7 @@ class Balance(eqx.Module):
             return self.residual(v)
 
         def tangent_solve(linear, y):
-            return jnp.linalg.solve(jax.vmap(linear, out_axes=1)(jnp.eye(y.size, dtype=y.dtype)), y)
+            return _solved(jax.vmap(linear, out_axes=1)(jnp.eye(y.size, dtype=y.dtype)), y)
 
         return jax.lax.custom_root(balanced, guess, lambda _, start: self._descend(start), tangent_solve)
 
@@ -60,8 +60,8 @@ class Balance(eqx.Module):
         def one(carry):
             v, residual, _, count = carry
             hessian = self._hessian(v)
-            change = -jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(hessian), residual)
-            # In float32 rounding of stiff touches may leave no factor, or one that leads uphill.
+            change = -_solved(hessian, residual)
+            # In float32 rounding of stiff touches may lead uphill.
             leads = jnp.sum(residual * change) < 0  # and False of NaN
             change = jnp.where(leads, change, -residual / jnp.diagonal(hessian))
             v, residual = self._down(v, change, -jnp.sum(residual * change))
@@ -76,7 +76,7 @@ class Balance(eqx.Module):
         stiffness = -(rows + jnp.swapaxes(rows, -1, -2)) / 2
         slips = self.slips.reshape(-1, 3, v.size)
         curvature = jnp.sum(stiffness[..., None] * slips[:, None], axis=2).reshape(-1, v.size)
-        return self.mass + self.dt * (self.slips.T @ curvature)
+        return self.mass + self.dt * jnp.sum(self.slips[:, :, None] * curvature[:, None], axis=0)
 
     def _down(self, v, change, promise) -> tuple[Float[Array, "D"], Float[Array, "D"]]:
         """To the minimum along a Newton step, which is its end unless it climbs again before; and the residual there.
@@ -110,6 +110,22 @@ class Balance(eqx.Module):
         return v + part * change, residual
 
 
+# Where all operations of a loop are simple ones, the compiler can make one function of it, several times as fast. Products
+# of matrices and LAPACK are calls, a single one of which forbids that.
+
+
 def _times(matrix: Float[Array, "A B"], vector: Float[Array, "B"]) -> Float[Array, "A"]:
-    # A product of small matrices is a call that the compiler fuses with nothing around it.
     return jnp.sum(matrix * vector[None], axis=1)
+
+
+def _solved(matrix: Float[Array, "D D"], vector: Float[Array, "D"]) -> Float[Array, "D"]:
+    """Gauss's elimination, with no rows exchanged: for matrices whose symmetric part is positive definite."""
+    tops, found = [], []
+    for _ in range(vector.size):
+        # Matrix and vector stay apart, or JAX does not see that the answer is linear in the vector.
+        top, value, below = matrix[0, 1:] / matrix[0, 0], vector[0] / matrix[0, 0], matrix[1:, 0]
+        matrix, vector = matrix[1:, 1:] - below[:, None] * top[None], vector[1:] - below * value
+        tops.append((top, value))
+    for top, value in reversed(tops):
+        found.insert(0, value - jnp.sum(top * jnp.stack(found)) if found else value)
+    return jnp.stack(found)
