@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import jax
 import numpy as np
 import tomli_w
 
-from . import mesh_file
+from . import mesh_file, scene_text
 from .body import Body
 from .contact import Contact
 from .errors import InputError, within
@@ -24,7 +23,7 @@ from .surface import Surface
 from .torsion import MODELS
 
 _PLACE = ("position", "orientation")
-_LARGEST = 16 * 2**20  # bytes; a scene file is written by hand
+_MOST = {"object": 100, "contact": 500}  # which take some 20 kB and 8 kB each
 
 
 def load_scene(path: str | os.PathLike) -> Scene:
@@ -50,6 +49,9 @@ def scene_from_dict(table: Mapping[str, Any], folder: Path | None = None) -> Sce
     **Raises:** `InputError` as `load_scene`, without a file.
     """
     _known(table, "", ("object", "contact", "torsion", "world", "integrator"))
+    for kind, most in _MOST.items():
+        if len(_tables(table, kind)) > most:
+            raise InputError(f"{kind} has {len(table[kind])} tables; allowed: {most} or fewer")
     parts: dict[str, Any] = {
         "object": {name: _object(name, t, folder) for name, t in _tables(table, "object").items()},
         "contact": {
@@ -86,39 +88,13 @@ def scene_to_dict(scene: Scene, folder: Path | None = None) -> dict[str, Any]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        size, data = path.stat().st_size, b""
-        if size <= _LARGEST:
-            data = path.read_bytes()
+        with path.open("rb") as file:
+            data = file.read(scene_text.LARGEST + 1)
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror}); allowed: a scene file in TOML") from None
     except ValueError:
         raise InputError("is no name of a file; allowed: a scene file in TOML") from None
-    if size > _LARGEST:
-        raise InputError(f"has {size} bytes; allowed: a scene file of at most {_LARGEST} bytes")
-    try:
-        table = tomllib.loads(data.decode("utf-8"))
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"has a byte at {error.start} that is not UTF-8; allowed: a scene file in TOML"
-        ) from None
-    except (ValueError, RecursionError) as error:  # also numbers of more digits than Python reads
-        raise InputError(
-            f"is not TOML: {str(error) or 'nested too deep'}; allowed: a scene file in TOML"
-        ) from None
-    _check_integers(table, "")
-    return table
-
-
-def _check_integers(value: Any, path: str) -> None:
-    """Refuse integers beyond 64 bits, as TOML asks: Python reads them, and fails later in printing them."""
-    if isinstance(value, Mapping):
-        for key, part in value.items():
-            _check_integers(part, f"{path}.{key}" if path else key)
-    elif isinstance(value, list):
-        for part in value:
-            _check_integers(part, path)
-    elif isinstance(value, int) and value.bit_length() > 63:
-        raise InputError(f"{path} is an integer of {value.bit_length()} bits; allowed: at most 63 bits")
+    return scene_text.tables(data)
 
 
 def _object(name: str, table: Any, folder: Path | None) -> Object:

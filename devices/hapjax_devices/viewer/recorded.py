@@ -2,7 +2,6 @@
 
 import json
 import tempfile
-import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ from hapjax.extras import need
 from hapjax.paths import number_at
 from hapjax.recording.mcap_records import Scan
 from hapjax.scene_file import scene_from_dict
+from hapjax.scene_text import tables
 
 _SAME = 1e-9  # s, by which two times of one tick may differ
 
@@ -34,7 +34,8 @@ def attached_scene(file: Path) -> Scene:
             if place.resolve().is_relative_to(Path(folder).resolve()):
                 place.parent.mkdir(parents=True, exist_ok=True)
                 place.write_bytes(data)
-        return scene_from_dict(tomllib.loads(found["scene.toml"].decode()), Path(folder))
+        with within(f"{file}, scene.toml: "):
+            return scene_from_dict(tables(found["scene.toml"]), Path(folder))
 
 
 class Live(NamedTuple):
