@@ -255,6 +255,17 @@ def test_the_recommendation_bears_the_press_of_two_fingers(monkeypatch):
     assert own.cheapest(found) == found[-1] and found[-1].substeps in (8, 16)
 
 
+def test_a_step_is_timed_where_fingers_press(monkeypatch):
+    parts = {"cube": Object(Box((0.04,) * 3), Surface(800.0, mu=0.6, damping=1.0), Body(0.05))}
+    scene = scene_of(object=parts, contact={}, world=World())
+    ends = []
+    monkeypatch.setattr(own, "step_us", lambda loops, runs: [ends.append(loops[0]()) or 1.0])
+    assert own._step_us(scene, scene, "semi_implicit", 2, 500.0) == 1.0
+    pressed = np.asarray(ends[0][1].touch["cube"].normal_force)
+    assert not pressed[:50].any()
+    np.testing.assert_allclose(pressed[-1], touch.FORCE, rtol=0.05)
+
+
 def test_the_recommendation_is_within_an_error_where_one_is_asked_for():
     choices = [
         own.Choice("semi_implicit", 1, 1.0, 0.5, "", 1e-3),

@@ -32,8 +32,8 @@ def felt(scene: Scene | None, fingers: int) -> tuple[Scene, list[Any]]:
 
 
 def compiled(scene: Scene, hip: np.ndarray, gimbal: np.ndarray | None) -> tuple[Callable[[], Any], float]:
-    """A compiled loop of SCAN_STEPS steps, and s to compile it."""
-    hips = jnp.asarray(np.broadcast_to(hip, (SCAN_STEPS, *hip.shape)), dtype_of(scene))
+    """A compiled loop of SCAN_STEPS steps with the fingers at `hip` (F, 3) m, or along (T, F, 3); and s to compile it."""
+    hips = jnp.asarray(np.broadcast_to(hip, (SCAN_STEPS, *hip.shape[-2:])), dtype_of(scene))
     gimbals = None if gimbal is None else jnp.asarray(np.broadcast_to(gimbal, hips.shape[:2]), hips.dtype)
     state = init(scene, hips[0], gimbal)
     began = time.perf_counter()

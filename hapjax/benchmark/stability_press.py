@@ -69,6 +69,15 @@ def fingers(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(outside), np.concatenate(inside)
 
 
+def path(scene: Scene, count: int, steps: int) -> np.ndarray:
+    """Where `count` fingers are that come in over a quarter of `steps`, and then press, (T, F, 3) m: the same two on each
+    object, in turn, so that some press at one place where there are more.
+    """
+    outside, inside = (places[np.arange(count) % len(places)] for places in fingers(scene))
+    share = np.clip(4 * np.arange(steps) / steps, 0, 1)[:, None, None]
+    return outside + share * (inside - outside)
+
+
 def press(scene: Scene, method: str, dtype: str) -> Callable[[float], str]:
     """The verdict, for any dt (s), on a press of the scene's objects, which are at rest; compiled once.
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from ..errors import InputError
 from ..integrate import METHODS
-from ..scene import Scene, cast
+from ..scene import Scene, cast, dtype_of
 from ..simulate import init
 from . import stability_press as touch
-from ._timing import compiled, step_us
+from ._timing import SCAN_STEPS, compiled, step_us
 from .error_scene import SUBSTEPS
 from .stability_cells import AWAY, BASE, BLOWN_UP, RINGING, SECONDS, SETTLED, Numbers, Start, programs
 from .stability_loop import passive_stiffness
@@ -26,8 +26,8 @@ WORSE = (SETTLED, RINGING, BLOWN_UP)
 
 
 class Choice(NamedTuple):
-    """An integrator with substeps: `step_us` of a step of the scene in a compiled loop; `margin`, by which factor its
-    contacts could be stiffer. Below 1 the scene does not settle as it is; 0: nor with any softer contacts tried.
+    """An integrator with substeps: `step_us` of a step of the scene, in its fingers, in a compiled loop; `margin`, by
+    which factor its contacts could be stiffer. Below 1 the scene does not settle as it is; 0: nor with any softer contacts tried.
     `pressed`: the worse verdict, of float64's and float32's, on its objects between two fingers; empty: none is felt.
     `error`: m, by how much a motion's end is off; `None`: not measured."""
 
@@ -110,7 +110,7 @@ def recommend(
     choices = []
     rest = touch.rested(cast(scene, jnp.float64)) if touch.touched(scene) else None
     for method in integrators:
-        cost = _step_us(scene, method, fingers)
+        cost = _step_us(scene, rest, method, fingers, rate)
         presses = [] if rest is None else [touch.press(rest, method, dtype) for dtype in DTYPES]
         settled = False
         for n in SUBSTEPS:
@@ -187,10 +187,11 @@ def _scaled(scene: Scene, method: str, numbers: Numbers) -> Start:
     return scene, state
 
 
-def _step_us(scene: Scene, method: str, fingers: int) -> float:
-    """us of a step without substeps in a compiled loop, fingers out of reach."""
-    scene = dataclasses.replace(scene, integrator=METHODS[method](dt=scene.integrator.dt))
-    hip = np.full((fingers, 3), AWAY)
+def _step_us(scene: Scene, rest: Scene | None, method: str, fingers: int, rate: float) -> float:
+    """us of a step without substeps in a compiled loop, the scene at `rest` in its fingers; `None`: they feel nothing."""
+    felt = dataclasses.replace(scene if rest is None else rest, integrator=METHODS[method](dt=1 / rate))
+    # An integrator that looks ahead takes up to twice as long where fingers touch.
+    hips = np.full((fingers, 3), AWAY) if rest is None else touch.path(rest, fingers, SCAN_STEPS)
     gimbal = np.zeros(fingers) if scene.torsion is not None and scene.torsion.needs_gimbal else None
-    loop, _ = compiled(scene, hip, gimbal)
+    loop, _ = compiled(cast(felt, dtype_of(scene)), hips, gimbal)
     return step_us([loop], runs=3)[0]
