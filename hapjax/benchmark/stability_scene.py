@@ -27,7 +27,8 @@ WORSE = (SETTLED, RINGING, BLOWN_UP)
 
 class Choice(NamedTuple):
     """An integrator with substeps: `step_us` of a step of the scene, in its fingers, in a compiled loop; `margin`, by
-    which factor its contacts could be stiffer. Below 1 the scene does not settle as it is; 0: nor with any softer contacts tried.
+    which factor its contacts could be stiffer. Below 1 the scene does not settle as it is; 0: nor with any softer contacts
+    tried.
     `pressed`: the worse verdict, of float64's and float32's, on its objects between two fingers; empty: none is felt.
     `error`: m, by how much a motion's end is off; `None`: not measured."""
 
