@@ -1,5 +1,6 @@
 """Files that are written whole or not at all."""
 
+import json
 import os
 import secrets
 import shutil
@@ -42,6 +43,13 @@ def replacing(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def write_json(path: str | os.PathLike[str], figures: Any) -> None:
+    """Write figures as JSON. **Raises:** `hapjax.InputError` as `replacing`."""
+    with replacing(path) as out:
+        json.dump(figures, out, indent=2)
+        out.write("\n")
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:

@@ -1,5 +1,6 @@
 """The command line on a terminal and in a shell: its version, completion, colours, and the examples of its help."""
 
+import json
 import os
 import pty
 import re
@@ -11,6 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 from urllib.request import urlopen
 
+import jax
 import numpy as np
 import pytest
 
@@ -163,6 +165,32 @@ def test_the_example_works(command, folder, monkeypatch, capsys):
             assert (folder / options[option]).stat().st_size > 0
     written = {path.name for path in set(folder.iterdir()) - before}
     assert written == {options[o] for o in ("--out", "--json") if o in options}
+
+
+def test_a_program_reads_what_files_were_made_into(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(folder)
+    found = {}
+    for number, (command, *rest) in enumerate(
+        (
+            ("export", "cube.toml", "--to", "urdf", "--out", tmp_path / "cube.urdf"),
+            ("import", "cube.urdf", "--out", tmp_path / "cube.toml"),
+            ("recover", "lift.mcap", "--out", tmp_path / "whole.mcap"),
+        )
+    ):
+        file = tmp_path / f"{number}.json"
+        assert main([command, *map(str, rest), "--json", str(file)]) == 0
+        found[command] = json.loads(file.read_text())
+        assert found[command].pop("file") == str(rest[-1])
+        for key in ("file", *found[command]):
+            assert f"`{key}`" in section(command)
+    with jax.enable_x64(True):
+        scene = hapjax.load_scene("cube.toml")
+    assert found["export"]["left_out"]
+    assert found["export"] == {"left_out": [*hapjax.save_urdf(scene, tmp_path / "again.urdf")]}
+    assert found["import"] == {"objects": {"cube": {"shape": "box", "mass": pytest.approx(0.2)}}}
+    assert found["recover"] == {"messages": {"/hip": 20}, "lost": [], "whole": True}
+    assert main(["export", "cube.toml", "--to", "urdf", "--json", "nowhere/a.json"]) == 2
+    assert not (folder / "nowhere").exists()
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from tyro.conf import Positional
 
 from ..errors import InputError
 from ..exchange import save_mjcf, save_urdf
+from ..files import check_writable, write_json
 from ..scene_file import load_scene
 
 
@@ -18,6 +19,7 @@ def export(
     to: Literal["mjcf", "urdf"],
     out: Path | None = None,
     object: str | None = None,
+    json: Path | None = None,
 ) -> None:
     """Write a scene as MJCF, for MuJoCo, or one of its objects as URDF: mass, inertia, friction, stiffness, damping.
 
@@ -29,10 +31,13 @@ def export(
         to: The format.
         out: File to write (.xml for MJCF, .urdf); absent: the scene's name with that ending.
         object: Of urdf: which object; absent: the only one that moves.
+        json: File for what was written and what was left out.
     """
     target = scene.with_suffix(".xml" if to == "mjcf" else ".urdf") if out is None else out
     if target.resolve() == scene.resolve():
         raise InputError(f"{target}: is the scene; allowed: another file")
+    if json is not None:
+        check_writable(json)
     with jax.enable_x64(True):
         loaded = load_scene(scene)
         if to == "urdf":
@@ -44,3 +49,5 @@ def export(
     for sentence in left_out:
         print(f"hapjax: {scene}: {sentence}", file=sys.stderr)
     print(target)
+    if json is not None:
+        write_json(json, {"file": str(target), "left_out": list(left_out)})

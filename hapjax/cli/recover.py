@@ -5,8 +5,10 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from ..files import check_writable, write_json
 
-def recover(recording: Positional[Path], *, out: Path | None = None) -> None:
+
+def recover(recording: Positional[Path], *, out: Path | None = None, json: Path | None = None) -> None:
     """Make a whole file of a recording (.mcap) that was cut short or is damaged, and say what is lost.
 
     The recording stays as it is. Example: hapjax recover lift.mcap --out whole.mcap
@@ -14,13 +16,21 @@ def recover(recording: Positional[Path], *, out: Path | None = None) -> None:
     Args:
         recording: MCAP file, of any recorder.
         out: File to write, which must not exist; absent: the recording's name with -recovered.
+        json: File for what was found.
     """
     from ..recording.recovering import recover as recovering
 
     target = recording.with_name(f"{recording.stem}-recovered.mcap") if out is None else out
+    if json is not None:
+        check_writable(json)
     found = recovering(recording, target)
     for sentence in found.lost:
         print(f"hapjax: {recording}: lost: {sentence}", file=sys.stderr)
     each = ", ".join(f"{topic} {count}" for topic, count in sorted(found.messages.items())) or "none"
     whole = "; the file was whole" if found.whole else ""
     print(f"{target}: {found.messages.total()} messages ({each}){whole}")
+    if json is not None:
+        messages = dict(sorted(found.messages.items()))
+        write_json(
+            json, {"file": str(target), "messages": messages, "lost": found.lost, "whole": found.whole}
+        )
