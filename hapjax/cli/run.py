@@ -25,6 +25,9 @@ def run(
     name: str = "hapjax",
     live: tuple[str, ...] = (),
     passivity: int | None = None,
+    max_force: float | None = None,
+    slew: float = 4000.0,
+    ramp: float = 0.5,
     tune: FlagCreatePairsOff[bool] = False,
     truth: Path | None = None,
     window: float = 4.0,
@@ -51,6 +54,9 @@ def run(
         name: Of the run on the bus.
         live: Paths of numbers that other processes may change meanwhile, such as object.cube.surface.mu.
         passivity: By how many samples the devices are late, 0 to 100, to keep them passive by damping; absent: off.
+        max_force: N that no device's force passes, above 0; absent: what each device can.
+        slew: N/s by which a force may rise or turn, above 0.
+        ramp: s in which the force of a finger that is let in comes up, 0 or above.
         tune: Estimate the live numbers meanwhile (absent: mu and stiffness of all that is felt), in another process; Enter
             or SIGUSR1 hands the newest estimates to the servo.
         truth: Of --tune: scene file of the object that simulated sensors measure under the same fingers.
@@ -76,6 +82,7 @@ def run(
         raise InputError("--truth, --window and --adopt are of --tune; allowed: with it")
     readers = 1 + (record is not None) + tune
     options = {"rate": rate, "seconds": seconds, "live": live, "passivity": passivity, "readers": readers}
+    options |= {"max_force": max_force, "slew": slew, "ramp": ramp}
     wanted = session.Session.of(name, scene, device, devices, hip, **options)
     if not (view or wanted.by_mouse):
         if (host, port) != (HOST, PORT):

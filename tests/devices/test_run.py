@@ -260,6 +260,9 @@ REFUSED = {
         ["run", "table.toml", "--device", "browser", "--host", "192.0.2.1"],
         ["192.0.2.1", "address"],
     ),
+    "a force": (["run", "table.toml", "--max-force", "0"], ["force of the limits is 0.0 N", "above 0"]),
+    "a slew": (["run", "table.toml", "--slew", "-5"], ["slew of the limits is -5.0 N/s", "above 0"]),
+    "a ramp": (["run", "table.toml", "--ramp", "-1"], ["ramp of the limits is -1.0 s", "0 or above"]),
     "a rate": (["run", "table.toml", "--rate", "5000"], ["rate is 5000", "100 to 4000"]),
 }
 

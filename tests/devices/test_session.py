@@ -18,6 +18,7 @@ from hapjax_devices import (
     Falcon,
     GimbalDevice,
     Inverse3,
+    Limits,
     RecoverableDevice,
     VirtualDevice,
 )
@@ -95,6 +96,25 @@ def test_the_device_file_that_is_shown_is_taken(places):
     assert given == {"type", *(key for keys in KEYS.values() for key in keys)}  # all that there are
 
 
+def test_a_device_has_the_limits_of_its_table_or_those_of_all(places):
+    text = "[[device]]\ntype = 'virtual'\nmax_force = 3\nslew = 500\n[[device]]\ntype = 'virtual'\nramp = 0"
+    made = session(places, devices=text, max_force=2.0, ramp=0.25)
+    assert Session.from_json(made.to_json()).limits() == [Limits(3.0, 500.0, 0.25), Limits(2.0, 4000.0, 0.0)]
+    assert session(places).limits() == [Limits()] * 3
+
+
+def test_the_servos_process_keeps_to_the_limits(places, monkeypatch):
+    given = {}
+
+    def run(scene, devices, *_, **options):
+        given.update(options)
+        raise DeviceError("enough")
+
+    monkeypatch.setattr(process, "run", run)
+    assert process.main([session(places, kinds=("virtual",), max_force=2.0, slew=300.0).to_json()]) == 1
+    assert given["limits"] == [Limits(2.0, 300.0)]
+
+
 @pytest.mark.slow
 def test_a_mouse_moves_fingers_where_a_session_has_such_devices(places):
     made = session(places, "cube", kinds=("browser", "virtual"))
@@ -135,6 +155,8 @@ BAD_FILES = {
     "[[device]]\ntype = 'falcon'\nfirmware = 'none.bin'": ["device[0]: firmware", "none.bin cannot be read"],
     "[[device]]\ntype = 'inverse3'\nforce_limit = -1": ["device[0]: force_limit is -1.0 N", "above 0"],
     "[[device]]\ntype = 'inverse3'\nmessage_format = '9'": ["message_format is '9'", "'3.1', '3.5'"],
+    "[[device]]\ntype = 'virtual'\nmax_force = 0": ["device[0]: force of the limits is 0.0 N", "above 0"],
+    "[[device]]\ntype = 'virtual'\nslew = 'fast'": ["device[0].slew is 'fast'", "a number"],
     "device = 3": ["device is 3", "[[device]]"],
     "[device]\ntype = 'falcon'": ["[[device]] for each finger"],
     "[[devices]]": ["devices is not known"],
@@ -162,6 +184,9 @@ BAD_SESSIONS = {
     "too short": (dict(seconds=0.0), ["seconds is 0.0", "one tick"]),
     "no such number": (dict(live=("object.table.surface.nu",)), ["has no nu"]),
     "no delay": (dict(passivity=-1), ["-1", "0 to 100"]),
+    "no force": (dict(max_force=-1.0), ["force of the limits is -1.0 N", "above 0"]),
+    "no slew": (dict(slew=0.0), ["slew of the limits is 0.0 N/s", "above 0"]),
+    "no ramp": (dict(ramp=float("nan")), ["ramp of the limits is nan s", "0 or above"]),
     "no gimbal": (dict(scene="gimbals", kinds=("virtual", "falcon")), ["device[1] is falcon", "no gimbal"]),
     "nothing to feel": (dict(scene="nothing"), ["no object", "surface"]),
     "fingers": (dict(scene="fingers"), ["finger_mu has 2 factors for 3 fingers"]),

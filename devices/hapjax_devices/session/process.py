@@ -90,6 +90,7 @@ def main(arguments: list[str]) -> int:
             session.made(),
             None,
             session.rate,
+            limits=session.limits(),
             passivity=None if session.passivity is None else Passivity(session.passivity),
             broadcast=Broadcast(session.run, session.readers, PATIENCE),
             stopped=_Asked(ticks),

@@ -14,8 +14,9 @@ from hapjax.tuning.settings import tuned_by_default
 from ..bus import services
 from ..device import Device, GimbalDevice
 from ..passivity import Passivity
+from ..safety import Limits
 from .motion import recorded
-from .wanted import made, wanted
+from .wanted import limits_of, made, wanted
 
 SLOWEST, FASTEST = 100.0, 4000.0  # Hz
 
@@ -27,7 +28,8 @@ class Session:
     **Arguments:** `run`, its name on the bus; the `scene`'s file; the `devices`, a table each; the `rate` in Hz, 100 to
     4000; `seconds`, above 0, `None`: until it is stopped; `hip`, a recording whose fingers the virtual ones follow; paths
     of `live` numbers; `passivity`, by how many samples the devices are late whose passivity is kept, `None`: it is not;
-    how many `readers` are waited for.
+    how many `readers` are waited for; `max_force` in N, `slew` in N/s and `ramp` in s, the `Limits` of all devices whose
+    tables have none of their own.
 
     **Raises:** `InputError` for what cannot be, before anything is started.
     """
@@ -41,6 +43,9 @@ class Session:
     live: tuple[str, ...] = ()
     passivity: int | None = None
     readers: int = 1
+    max_force: float | None = None
+    slew: float = Limits.slew
+    ramp: float = Limits.ramp
 
     def __post_init__(self):
         services.check_name(self.run)
@@ -92,6 +97,10 @@ class Session:
         recording = self.recording()
         return made(self.devices, self.run, self.loaded, self.rate, recording)
 
+    def limits(self) -> list[Limits]:
+        """What each device may be told to do. **Raises:** `InputError`."""
+        return limits_of(self.devices, asdict(self))
+
     def recording(self) -> Recording | None:
         """The motion that virtual fingers follow, where it was recorded. **Raises:** `InputError`."""
         return None if self.hip is None else recorded(Path(self.hip), len(self.devices))
@@ -102,6 +111,7 @@ class Session:
             number_at(self.loaded, path)
         if self.passivity is not None:
             Passivity(self.passivity)
+        self.limits()
         for name in self.loaded.touchable():
             surface = self.loaded.object[name].surface
             assert surface is not None

@@ -17,17 +17,20 @@ from ..device import Device
 from ..falcon import Falcon
 from ..inverse3 import Inverse3
 from ..placement import Placement
+from ..safety import Limits
 from ..virtual import VirtualDevice
 from .motion import virtual_finger
 from .slower import Slower
 
 MOST = 5  # devices of a session
 _PLACE = ("position", "orientation")
+_LIMITS = ("max_force", "slew", "ramp")
+_ANY = ("rate", *_LIMITS)
 KEYS = {  # that a table of each type may have
-    "virtual": ("rate",),
-    "browser": ("rate",),
-    "falcon": ("rate", "serial", "firmware", "homing_time", *_PLACE),
-    "inverse3": ("rate", "device_id", "force_limit", "message_format", "url", *_PLACE),
+    "virtual": _ANY,
+    "browser": _ANY,
+    "falcon": (*_ANY, "serial", "firmware", "homing_time", *_PLACE),
+    "inverse3": (*_ANY, "device_id", "force_limit", "message_format", "url", *_PLACE),
 }
 _TEXTS = ("serial", "firmware", "device_id", "message_format", "url")
 _LISTS = {"position": 3, "orientation": 4}
@@ -77,6 +80,18 @@ def made(
     return devices
 
 
+def limits_of(tables: list[dict[str, Any]], general: Mapping[str, Any]) -> list[Limits]:
+    """What each device may be told to do: `max_force`, `slew` and `ramp` of its table, of all where it has none.
+
+    **Raises:** `InputError`, which names the device by its place, for values out of range.
+    """
+    found = []
+    for place, table in enumerate(tables):
+        with within(f"device[{place}]: "):
+            found.append(Limits(*(table.get(key, general[key]) for key in _LIMITS)))
+    return found
+
+
 def _virtual(table: Mapping[str, Any], finger: Callable[[], VirtualDevice]) -> Device:
     return finger()
 
@@ -102,7 +117,7 @@ def _placement(table: Mapping[str, Any]) -> Placement:
 
 
 def _rest(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in table.items() if key not in ("type", "rate", *_PLACE)}
+    return {key: value for key, value in table.items() if key not in ("type", *_ANY, *_PLACE)}
 
 
 def _of_file(file: Path) -> list[dict[str, Any]]:
