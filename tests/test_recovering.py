@@ -119,6 +119,13 @@ def test_damage_of_any_byte_costs_a_chunk_at_most(tmp_path, all_messages):
         assert len(messages) >= 40 and set(messages) <= set(all_messages[0]), at
 
 
+def test_it_says_how_far_it_is(tmp_path):
+    (tmp_path / "cut.mcap").write_bytes(WHOLE[: CHUNKS[-1][1]])
+    parts = []
+    recover(tmp_path / "cut.mcap", tmp_path / "out.mcap", lambda _, part: parts.append(part))
+    assert len(parts) > 1 and min(parts) > 0.01 and 0.9 < sum(parts) <= 1
+
+
 def test_what_cannot_be_recovered_is_refused(tmp_path):
     for data, words in (
         (b"", "expected an MCAP file, found 0 bytes"),

@@ -20,6 +20,7 @@ from ..errors import InputError
 from ..extras import need
 from ..files import replacing
 from ..integrate import METHODS
+from ..progress import following
 from ..scene import Scene
 from ..simulate import State, init, rollout
 from . import _grip
@@ -42,12 +43,19 @@ def measure(
     `creep`: of each of `integrators` (none: all), of MuJoCo and of MuJoCo with its pass against slip, for each of `TILTS`.
     """
     mujoco = need("mujoco", "bench")
-    batches = [_batch(size, steps) for size in sizes]
+    batches, creep, names = [], {}, integrators or METHODS
+    with following(float(len(sizes) + len(names) + 2)) as advance:
+        for size in sizes:
+            batches.append(_batch(size, steps))
+            advance(f"batches of {size}", 1.0)
+        for name in names:
+            creep[name] = _creep(METHODS[name](dt=_grip.DT), held)
+            advance(f"creep with {name}", 1.0)
+        for label, noslip in (("MuJoCo", 0), ("MuJoCo noslip", NOSLIP_ITERATIONS)):
+            creep[label] = [_creep_mujoco(held, noslip, tilt) for tilt in TILTS]
+            advance(f"creep in {label}", 1.0)
     ours = max(max(b["one_call"], b["two_threads"]) for b in batches)
     theirs = max(b["mujoco"] for b in batches)
-    creep = {name: _creep(METHODS[name](dt=_grip.DT), held) for name in integrators or METHODS}
-    for label, noslip in (("MuJoCo", 0), ("MuJoCo noslip", NOSLIP_ITERATIONS)):
-        creep[label] = [_creep_mujoco(held, noslip, tilt) for tilt in TILTS]
     first = _creep_mujoco(1.0, 0, 0.0)
     return {
         "device": str(jax.devices()[0]),

@@ -6,6 +6,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from ..files import check_writable, write_json
+from ..progress import following
 
 
 def recover(recording: Positional[Path], *, out: Path | None = None, json: Path | None = None) -> None:
@@ -23,7 +24,8 @@ def recover(recording: Positional[Path], *, out: Path | None = None, json: Path 
     target = recording.with_name(f"{recording.stem}-recovered.mcap") if out is None else out
     if json is not None:
         check_writable(json)
-    found = recovering(recording, target)
+    with following(1.0) as advance:
+        found = recovering(recording, target, advance)
     for sentence in found.lost:
         print(f"hapjax: {recording}: lost: {sentence}", file=sys.stderr)
     each = ", ".join(f"{topic} {count}" for topic, count in sorted(found.messages.items())) or "none"

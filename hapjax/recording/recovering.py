@@ -6,6 +6,7 @@ import os
 import struct
 import zlib
 from collections import Counter
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,8 +36,10 @@ class Recovery:
     whole: bool = False
 
 
-def recover(path: Path, out: Path) -> Recovery:
+def recover(path: Path, out: Path, advance: Callable[[str, float], Any] = lambda *_: None) -> Recovery:
     """Write all that is whole in an MCAP file to a new one, with an index and an end. `path` stays as it is.
+
+    **Arguments:** `advance` is told a hundred times at most what is done, and how much of the whole since it was last told.
 
     **Raises:** `InputError` for what cannot be read, is no MCAP file or has nothing whole in it, a chunk that would unpack
     to far more than the file's size, and an `out` that is there already or cannot be written.
@@ -49,7 +52,7 @@ def recover(path: Path, out: Path) -> Recovery:
             raise InputError(f"{path}: expected an MCAP file, found another format")
         with replacing(out, "wb") as new:
             copy = _Copy(path, data, writers.Writer(new, chunk_size=2**20))
-            copy.run()
+            copy.run(advance)
             if not copy.found.messages and not copy.other:
                 raise InputError(f"{path}: expected something whole in it, found nothing")
         return copy.found
@@ -79,9 +82,10 @@ class _Copy:
         self._started = False
         self.found, self.other = Recovery(), 0
 
-    def run(self) -> None:
+    def run(self, advance: Callable[[str, float], Any]) -> None:
         """Copy, from the beginning to the end."""
-        place, size = len(_MAGIC), len(self._data)
+        place = told = len(_MAGIC)
+        size = len(self._data)
         while place < size:
             end = self._end(place)
             if end is None:
@@ -92,6 +96,9 @@ class _Copy:
                 break
             self._copy(place, end)
             place = end
+            if place - told > size / 100:
+                advance("recovering", (place - told) / size)
+                told = place
         if not self.found.whole and not self.found.lost:
             self.found.lost.append("the end: its writer was stopped, or it was cut, between two parts")
         if self._unknown:
