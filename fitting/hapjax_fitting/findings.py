@@ -20,7 +20,7 @@ from .clocks import beside, clock_of
 from .evidence import Evidence, evidence_of, scaled
 from .fingers import fingers_of, unexplained
 from .held import lies_of_grip
-from .motion import no_slip, stuck, unreached
+from .motion import FEW, no_slip, stuck, unreached
 from .sensors import Sensors
 from .sharding import shared_out
 
@@ -234,7 +234,8 @@ def _no_contact(evidence: Evidence) -> Finding | None:
     if evidence.force is None:
         return None
     touching, noise = evidence.touching, evidence.noise
-    quiet = strongest <= 6 * noise or strongest == 0
+    enough = len(evidence.force) >= FEW  # to tell noise from a force
+    quiet = (enough and strongest <= 6 * noise) or strongest == 0
     if evidence.whole and quiet and touching.sum() > 20:
         sentence = (
             f"no force is above its noise, {noise:.2g} N, though fingers are in surfaces at "

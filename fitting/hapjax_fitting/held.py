@@ -82,7 +82,7 @@ def lies_of_grip(scene: Scene, recording: Recording) -> list[Finding]:
 
 def _nothing(scene: Scene, recording: Recording) -> list[Finding]:
     """No force at all."""
-    if recording.force is None:
+    if recording.force is None or len(recording.force) < FEW:  # too few to tell noise from a force
         return []
     noise = float(noise_of([recording], None, scene.integrator.dt.dtype).force)
     if float(np.linalg.norm(recording.force, axis=-1).max()) > 6 * noise:

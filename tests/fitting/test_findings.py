@@ -94,6 +94,13 @@ def test_motions_that_come_again_look_the_same_at_other_times_but_no_better(seed
     assert ("shifted clock", "pose") not in found(case.recorded(seed), case.truth())[0]
 
 
+@pytest.mark.parametrize("count", [1, 3, 10])
+def test_a_few_forces_give_no_finding(count):
+    for r, scene in ((on_floor(), floor()), (replace(in_hand(), pose=None, pose_t=None), held_cube())):
+        few = {key: getattr(r, key)[200::5][:count] for key in ("force", "force_t")}
+        assert found(replace(r, **few), scene) == (set(), "")
+
+
 def test_positions_alone_give_no_finding():
     bare = replace(on_floor(), force=None, force_t=None)
     assert found(replace(bare, pose=in_hand().pose, pose_t=in_hand().pose_t), floor(), friction=True) == (
