@@ -18,6 +18,7 @@ from hapjax_devices import (
     RecoverableDevice,
     attached_falcons,
 )
+from hapjax_devices.falcon import let_go
 from hapjax_devices.falcon.emulator import EmulatedFalcon, EmulatedUsb, Fault
 from hapjax_devices.falcon.processor import synthetic_firmware
 from hapjax_devices.falcon.stance import counts_at
@@ -258,3 +259,12 @@ def test_a_falcon_that_no_one_homes():
     with pytest.raises(DeviceError, match="the Falcon is not homed: pull its grip"):
         rig.falcon.open()
     assert len(rig.said) == 1 and 2e9 < rig.clock.time < 2.5e9 and rig.falcon.state == "closed"
+
+
+def test_one_whose_process_is_gone_can_be_told_to_push_no_more(rig):
+    rig.tick()
+    assert rig.pushes()
+    let_go(None, EmulatedUsb(rig.emulated))
+    assert not rig.pushes()
+    with pytest.raises(DeviceError, match="FT9"):
+        let_go("FT9", EmulatedUsb(rig.emulated))

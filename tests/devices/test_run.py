@@ -16,7 +16,7 @@ import pytest
 
 import hapjax
 from hapjax.cli import main
-from hapjax_devices import TickReader
+from hapjax_devices import DeviceError, TickReader
 from hapjax_devices.session import supervisor
 
 TABLE = "[object.table]\nshape = 'plane'\n[object.table.surface]\nmu = 0.5\nstiffness = 1000.0\n"
@@ -229,6 +229,38 @@ def test_asked_to_end_before_it_begins_it_ends(table, tmp_path, monkeypatch, cap
     name = f"early-{os.getpid()}"
     assert main(["run", str(table), "--name", name, "--device", "virtual", "--record", str(record)]) == 0
     assert capfd.readouterr() == ("", "") and not record.exists()
+
+
+def test_falcons_of_a_servo_that_was_killed_are_told_to_push_no_more(table, monkeypatch, capfd):
+    class Killed:
+        def __init__(self, session):
+            pass
+
+        def code(self):
+            return -signal.SIGKILL
+
+        def stop(self):
+            pass
+
+        def wait(self, timeout):
+            return -signal.SIGKILL, ()
+
+    told = []
+
+    def let_go(serial):
+        told.append(serial)
+        if serial == "FT1":
+            raise DeviceError("the Falcon FT1 is not attached")
+
+    monkeypatch.setattr(supervisor, "ServoProcess", Killed)
+    monkeypatch.setattr(supervisor, "let_go", let_go)
+    devices = table.parent / "devices.toml"
+    falcons = [f"[[device]]\ntype = 'falcon'\nserial = '{serial}'\n" for serial in ("FT1", "FT2")]
+    devices.write_text("[[device]]\ntype = 'virtual'\n" + "".join(falcons))
+    assert main(["run", str(table), "--devices", str(devices)]) == 1
+    assert told == ["FT1", "FT2"]
+    out, error = capfd.readouterr()
+    assert out == "" and "FT1 is not attached; it may push on" in error and "SIGKILL" in error
 
 
 @pytest.mark.slow

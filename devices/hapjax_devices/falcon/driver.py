@@ -46,6 +46,20 @@ def _say(sentence: str) -> None:
     print(sentence, file=sys.stderr, flush=True)
 
 
+def let_go(serial: str | None, backend: Any = None) -> None:
+    """Have a Falcon push no more whose process is gone: its protocol has no timeout that would do it.
+
+    **Arguments:** `serial` and `backend` as for `Falcon`.
+
+    **Raises:** `DeviceError` where it cannot be told.
+    """
+    line = Line(serial, backend)
+    try:
+        line.write(encode((0, 0, 0), HOMING))
+    finally:
+        line.close()
+
+
 class Falcon(Driver):
     """A Novint Falcon on USB; see `Device` and `RecoverableDevice`. Needs the extra `falcon`.
 

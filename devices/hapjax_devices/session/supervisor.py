@@ -16,6 +16,8 @@ from hapjax.tuning.settings import Tuning
 
 from .. import viewer
 from ..bus import TickReader
+from ..device import DeviceError
+from ..falcon import let_go
 from ..recorder import RecorderProcess
 from .figures import Figures
 from .process import ServoProcess
@@ -131,6 +133,7 @@ class _Watch:
         if _to_end(asked) and unbegun:
             code = 0
         elif code < 0:
+            self._let_go()
             tick = self._figures.ticks - 1
             _say(f"the servo's process was killed ({signal.Signals(-code).name}) after tick {tick}")
         self._finish_recording(code == 0 and reader is None)
@@ -193,6 +196,15 @@ class _Watch:
             _say(f"the process that estimates has ended (exit code {tuner.code()}); the servo goes on")
             tuner.end()
             self._tuner, self._failed = None, True
+
+    def _let_go(self) -> None:
+        """Stop those devices that go on pushing when their process is killed."""
+        for table in self._session.devices:
+            if table["type"] == "falcon":
+                try:
+                    let_go(table.get("serial"))
+                except DeviceError as error:
+                    _say(f"{error}; it may push on: switch it off")
 
     def _ended(self) -> int:
         code, self._refused = self._servo.wait(_END)
