@@ -119,8 +119,8 @@ def test_every_option_is_described(command, capsys):
     with pytest.raises(SystemExit) as ended:
         cli.main([command, "--help"])
     assert ended.value.code == 0
-    offered = set(re.findall(r"--\w+", capsys.readouterr().out)) - {"--help"}
-    assert set(re.findall(r"^\| `(--\w+)`", section(command), re.MULTILINE)) == offered
+    offered = set(re.findall(r"--[\w-]+", capsys.readouterr().out)) - {"--help"}
+    assert set(re.findall(r"^\| `(--[\w-]+)`", section(command), re.MULTILINE)) == offered
 
 
 @pytest.mark.slow
