@@ -175,13 +175,14 @@ def approaches(vertices, triangles, count, seed):
 def test_no_approach_falls_through(name, number, count):
     vertices, triangles = FORMS[name]
     ways = approaches(vertices, triangles, count, 2).astype(number)
+    ways = ways[: len(ways) // 1000 * 1000]  # a last batch of another size would be a second program
     held = followed(as_type(mesh_of(name), number), jnp.asarray(ways))
     depth = np.asarray(held.depth[:, -1])
     end = ways[:, -1].astype(float)
     # Nearer than rounding there is no inside and outside.
     deep = distance(vertices, triangles, end) > 8 * np.finfo(number).eps * 0.05
     within = inside(vertices, triangles, end)
-    assert len(ways) > 0.95 * count and (deep & within).sum() > 0.3 * count
+    assert len(ways) >= 0.95 * count and (deep & within).sum() > 0.3 * count
     assert np.sum(deep & within & (depth <= 0)) == 0
     # And what meets nothing is not held.
     few = slice(5000)
