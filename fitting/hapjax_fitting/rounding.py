@@ -106,15 +106,20 @@ def step_of(values: Float[np.ndarray, " n"]) -> float:
 
 def steps_in(problem: Problem, residuals: Float[np.ndarray, " n"]) -> dict[str, dict[int, float]]:
     """Of each channel those axes that were read in steps, over all recordings, and their steps, N or m."""
-    values: dict[str, list[np.ndarray]] = {}
+    values: dict[str, dict[int, list[np.ndarray]]] = {}
     for key, group, samples, _ in pieces_of(residuals, problem):
         if key != "angle":
             measured = measured_in(group, samples)
             taken = None if samples.taken is None else gathered(samples.taken)[: group.count]
             rows = [*measured] if taken is None else [m[:n] for m, n in zip(measured, taken, strict=True)]
-            values.setdefault(key, []).extend(rows)
-    found = {key: [step_of(column) for column in np.concatenate(rows).T] for key, rows in values.items()}
-    return {key: {axis: step for axis, step in enumerate(steps) if step} for key, steps in found.items()}
+            for axis in range(measured.shape[-1]):  # a recording may have fewer fingers than another
+                axes = values.setdefault(key, {})
+                axes.setdefault(axis, []).extend(row[:, axis] for row in rows)
+    found = {
+        key: {axis: step_of(np.concatenate(columns)) for axis, columns in axes.items()}
+        for key, axes in values.items()
+    }
+    return {key: {axis: step for axis, step in steps.items() if step} for key, steps in found.items()}
 
 
 def measured_in(group: Observation, samples: Samples) -> Float[np.ndarray, "R N m"]:

@@ -68,7 +68,8 @@ def widened(
             variance += np.sum(pull**2, axis=(0, 1)) * (1.0 if problem.loss == "squares" else np.mean(psi**2))
         else:
             variance += surplus * alike[key] * np.sum(np.einsum("nm,nmp->np", psi, pull) ** 2, axis=0)
-            for axis, step in coarse.get(key, {}).items():
+            here = {axis: step for axis, step in coarse.get(key, {}).items() if axis < r.shape[1]}
+            for axis, step in here.items():
                 in_units = measured[:, axis], r[:, axis] * float(getattr(problem.noise, key))
                 read.setdefault((key, axis), []).append(readings_of(step, *in_units, pull[:, axis]))
     for (key, axis), parts in read.items():
