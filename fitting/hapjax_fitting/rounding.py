@@ -12,9 +12,8 @@ from .sharding import gathered
 
 _FINEST = 1e-6  # of the largest value: what is closer differs by how numbers are kept
 _LEAST = 20.0  # times that: a smaller step is none
-_EXACT = (
-    0.01  # of the variance of rounding: where residuals have less, what was measured itself goes in steps
-)
+# Of the variance of rounding: where residuals have less, what was measured goes in steps itself.
+_EXACT = 0.01
 _SPARE = 2  # readings beyond the numbers fitted, without which that can not be seen
 
 

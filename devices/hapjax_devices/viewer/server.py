@@ -28,10 +28,8 @@ def serving(title: str, host: str, port: int, camera: tuple[np.ndarray, np.ndarr
     **Raises:** `InputError` where that cannot be listened at.
     """
     check(host, port)
-    with (
-        redirect_stdout(io.StringIO()),
-        _guarded(host),
-    ):  # it would say where, in a box, and at its end that it stops
+    # It would say where, in a box, and at its end that it stops.
+    with redirect_stdout(io.StringIO()), _guarded(host):
         server = viser.ViserServer(host, port, verbose=False)
     try:
         server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
