@@ -17,6 +17,7 @@ from .possible import possible
 from .problem import NOTICEABLE, Problem, channels_of, spread_at
 from .reduced import reduced_rows
 from .result import FitResult
+from .rounding import steps_in
 from .scores import widened
 from .solve import Solutions, Trace
 from .success import alike, variance_of, why_not
@@ -50,9 +51,9 @@ def result_of(
     slopes = matrix if back is None else matrix @ back
     widest = np.array([p.transform.widest for p in said])
     known = certainty(slopes, variance, widest, cost > chance)
-    factors = np.ones(len(free))
-    if not set(size) <= set(given_noise or {}):
-        factors = widened(free, problem, residuals, slopes, back, known, given_noise)
+    factors, coarse = np.ones(len(free)), steps_in(problem, residuals)
+    if coarse or not set(size) <= set(given_noise or {}):
+        factors = widened(free, problem, residuals, slopes, back, known, given_noise, coarse)
         known = known.widened(factors, widest)
     spread = known.covariance if back is None else back @ known.covariance @ back.T
     explained = max(size.values()) < _EXPLAINED  # in units of the noise

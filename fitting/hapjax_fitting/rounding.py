@@ -118,7 +118,8 @@ def steps_in(problem: Problem, residuals: Float[np.ndarray, " n"]) -> dict[str, 
         key: {axis: step_of(np.concatenate(columns)) for axis, columns in axes.items()}
         for key, axes in values.items()
     }
-    return {key: {axis: step for axis, step in steps.items() if step} for key, steps in found.items()}
+    coarse = {key: {axis: step for axis, step in steps.items() if step} for key, steps in found.items()}
+    return {key: steps for key, steps in coarse.items() if steps}
 
 
 def measured_in(group: Observation, samples: Samples) -> Float[np.ndarray, "R N m"]:

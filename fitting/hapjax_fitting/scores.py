@@ -11,7 +11,7 @@ from .noise import correlation_time, lost
 from .parameters import stems_of
 from .problem import Problem, channels_of, pieces_of, residuals_at
 from .robust import curvature, slope, unrooted
-from .rounding import measured_in, readings_of, steps_in, together
+from .rounding import measured_in, readings_of, together
 from .uncertainty import Certainty
 
 _STEP = {np.dtype("float64"): 1e-4, np.dtype("float32"): 0.1}  # standard errors
@@ -26,6 +26,7 @@ def widened(
     back: Float[np.ndarray, "p p"] | None,
     certain: Certainty,
     given: Mapping[str, float] | None,
+    coarse: Mapping[str, Mapping[int, float]],
 ) -> Float[np.ndarray, " p"]:
     """By how many times the standard errors of a Gauss-Newton covariance are too small; at least 1.
 
@@ -34,10 +35,10 @@ def widened(
     variance of their sum, times the residuals' `correlation_time` (White 1980, A heteroskedasticity-consistent covariance
     matrix estimator). Noise that was given is believed, and priors are. Of a robust loss a sample's pull is psi of its
     residual, over what psi' leaves of J'J (Huber 1981, section 7.6). Where values were read in steps, what rounding errs by
-    alike is added: the residuals do not show it.
+    alike is added: the residuals do not show it, and no size of noise that is given has it.
 
     **Arguments:** `slopes`, the Jacobian by the reported numbers, in few rows, those of priors last; `back`, the derivative
-    of the free numbers by the reported ones.
+    of the free numbers by the reported ones; `coarse`, the `steps_in` the values.
     """
     count, known, inverse = len(free), problem.known(), certain.inverse
     factors, steps = np.ones(count), np.sqrt(np.diag(certain.covariance))
@@ -60,7 +61,7 @@ def widened(
     variance = problem.weighed * np.sum((rows @ inverse) ** 2, axis=0)
     alike, taken = _alike(residuals, problem), given or {}
     surplus = problem.measured() / (problem.measured() - problem.fitted())
-    coarse, read = steps_in(problem, residuals), {}
+    read = {}
     for key, r, own, quotients, measured in _by_recording(residuals, changes, problem, sizes):
         pull = quotients @ inverse[own]
         psi = slope(r, problem.loss)
@@ -68,10 +69,10 @@ def widened(
             variance += np.sum(pull**2, axis=(0, 1)) * (1.0 if problem.loss == "squares" else np.mean(psi**2))
         else:
             variance += surplus * alike[key] * np.sum(np.einsum("nm,nmp->np", psi, pull) ** 2, axis=0)
-            here = {axis: step for axis, step in coarse.get(key, {}).items() if axis < r.shape[1]}
-            for axis, step in here.items():
-                in_units = measured[:, axis], r[:, axis] * float(getattr(problem.noise, key))
-                read.setdefault((key, axis), []).append(readings_of(step, *in_units, pull[:, axis]))
+        here = {axis: step for axis, step in coarse.get(key, {}).items() if axis < r.shape[1]}
+        for axis, step in here.items():
+            in_units = measured[:, axis], r[:, axis] * float(getattr(problem.noise, key))
+            read.setdefault((key, axis), []).append(readings_of(step, *in_units, pull[:, axis]))
     for (key, axis), parts in read.items():
         variance += together(parts).variance(coarse[key][axis]) / float(getattr(problem.noise, key)) ** 2
     seen = steps > 0

@@ -103,6 +103,8 @@ def suggest(result: FitResult) -> Suggestion:
     back = problem.by_reported(free)
     known = result.information if back is None else back.T @ result.information @ back
     added = added if back is None else back.T @ added @ back
+    # What widens intervals of the recordings, uneven noise and steps of the sensors, will be there again.
+    known, added = (x / np.outer(result.widened, result.widened) for x in (known, added))
     # What a number that is not identified does to the residuals where the search ended says nothing of where it is.
     before = np.where(np.outer(identified, identified), known, 0) + np.diag(1 / vague**2)
     gain = {

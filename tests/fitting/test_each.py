@@ -103,7 +103,7 @@ def test_numbers_of_many_recordings_are_looked_at_all_at_once(monkeypatch):
 
     monkeypatch.setattr("hapjax_fitting.problem.with_loss", counted)
     np.testing.assert_allclose(cost_of_grip(free, problem)[:3], one_by_one, rtol=1e-9)
-    factors = widened(free, problem, residuals, matrix, None, known, None)
+    factors = widened(free, problem, residuals, matrix, None, known, None, {})
     assert len(calls) == 3 + 2
     np.testing.assert_allclose(
         factors, np.sqrt(np.maximum(1, variance / np.diag(known.covariance))), rtol=1e-3

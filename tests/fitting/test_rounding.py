@@ -73,6 +73,17 @@ def test_intervals_hold_the_truth_of_forces_in_steps():
     assert 0.5 < np.sqrt(np.mean(np.square(off)) / np.mean(np.square(error))) < 1.5
 
 
+def test_noise_that_is_given_does_not_make_up_for_steps():
+    truth, exact = pressed(0)
+    recording = replace(exact, force=in_steps(exact.force, FORCE_STEP))
+    start = floor(1.1 * truth[MU], 0.9 * truth[STIFFNESS])
+    rounding = {"force": FORCE_STEP / np.sqrt(12)}
+    found, believed = (fit(start, recording, BOTH, starts=1, noise=noise) for noise in (None, rounding))
+    for name in BOTH:
+        error = believed.parameters[name].standard_error
+        assert error == pytest.approx(found.parameters[name].standard_error, rel=0.1)
+
+
 def test_recordings_of_one_finger_and_of_two_have_their_steps_counted_alike():
     truth, one = pressed(0)
     one = replace(one, force=in_steps(one.force, FORCE_STEP))

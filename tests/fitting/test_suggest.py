@@ -1,6 +1,7 @@
 """Which motion to record next."""
 
 import json
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -58,8 +59,19 @@ def test_what_is_promised_is_what_a_recording_of_it_gives():
 
 @pytest.mark.slow
 def test_a_heavier_press_is_suggested_where_the_stiffness_alone_is_free():
-    result = fit(floor(0.5, 700.0), pressing(), [STIFFNESS], noise={"force": SIGMA}, starts=2)
-    assert suggest(result).best in ("press", "stroke with rising load")
+    exact = pressing()
+    assert exact.force is not None
+    coarse = replace(exact, force=0.1 * np.rint(exact.force / 0.1))
+    gains = []
+    for recording, least in ((exact, 1.0), (coarse, 1.5)):
+        result: Any = fit(floor(0.5, 700.0), recording, [STIFFNESS], noise={"force": SIGMA}, starts=2)
+        found, number = suggest(result), result.parameters[STIFFNESS]
+        assert found.best in ("press", "stroke with rising load")
+        # Errors now are those of the fit, with what steps of the sensor add, and a motion is measured by the same sensor.
+        assert result.widened[0] >= least
+        assert found.now[STIFFNESS] == pytest.approx(number.standard_error / number.estimate)
+        gains.append(found.errors["press"][STIFFNESS] / found.now[STIFFNESS])
+    assert gains[0] == pytest.approx(gains[1], rel=0.05)
 
 
 @pytest.mark.slow
