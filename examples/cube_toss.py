@@ -13,7 +13,6 @@ docs/cube_toss.md says what is assumed, and what comes out.
 """
 
 import argparse
-import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -30,7 +29,7 @@ from tosses import Toss, read
 
 import hapjax
 from hapjax import rotation
-from hapjax.files import replacing
+from hapjax.files import replacing, write_json
 from hapjax_fitting import FitResult, Start, fit
 from hapjax_fitting.start import begun
 
@@ -239,9 +238,7 @@ def main(argv: list[str] | None = None) -> int:
             figures = {k: asdict(p) for k, p in result.parameters.items() if not k.startswith("start.")}
             ahead = {name: rms(values).tolist() for name, values in found.items()}
             said = {"parameters": figures, "errors_ahead": ahead}
-            with replacing(given.json) as file:
-                json.dump(said | {"residual_rms": dict(result.residual_rms)}, file, indent=2, allow_nan=False)
-                file.write("\n")
+            write_json(given.json, said | {"residual_rms": dict(result.residual_rms)})
     except hapjax.InputError as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         return 2

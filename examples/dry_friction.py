@@ -16,7 +16,6 @@ Tests 0, 2, 4, ... are fitted, every so many samples of each so that all have as
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -33,7 +32,7 @@ from rich.table import Table
 
 import hapjax
 from hapjax import InputError
-from hapjax.files import replacing
+from hapjax.files import write_json
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "dry_friction.npz"
 SAMPLES = 448  # of each test in the fit: 64 a turn
@@ -259,9 +258,7 @@ def main(argv: list[str] | None = None) -> int:
             drawn = {law: forces[law] for law in ("Coulomb", "LuGre", "Stribeck behind backlash")}
             draw(tests[name], name, drawn, given.plot)
         if given.json is not None:
-            with replacing(given.json) as file:
-                json.dump({name: asdict(found) for name, found in results.items()}, file, indent=2)
-                file.write("\n")
+            write_json(given.json, {name: asdict(found) for name, found in results.items()})
     except InputError as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         return 2

@@ -20,7 +20,6 @@ What is assumed, and docs/planar_push.md weighs:
 """
 
 import argparse
-import json
 import math
 import sys
 from dataclasses import asdict, dataclass
@@ -37,7 +36,7 @@ from rich.table import Table
 import hapjax
 import hapjax_fitting
 from hapjax import InputError
-from hapjax.files import replacing
+from hapjax.files import write_json
 from hapjax_fitting import Drags, fit_drags
 
 STIFFNESS = 1e5
@@ -165,9 +164,7 @@ def main(argv: list[str] | None = None) -> int:
         show(fits | {"all files together": together} if len(fits) > 1 else fits)
         if given.json is not None:
             figures = {"files": {name: asdict(f) for name, f in fits.items()}, "all": asdict(together)}
-            with replacing(given.json) as file:
-                json.dump(figures, file, indent=2, allow_nan=False)
-                file.write("\n")
+            write_json(given.json, figures)
     except InputError as error:
         print(" ".join(str(error).split()), file=sys.stderr)
         return 2

@@ -1,11 +1,12 @@
 """Files that are written whole or not at all."""
 
 import json
+import math
 import os
 import secrets
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
@@ -46,10 +47,19 @@ def replacing(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]
 
 
 def write_json(path: str | os.PathLike[str], figures: Any) -> None:
-    """Write figures as JSON. **Raises:** `hapjax.InputError` as `replacing`."""
+    """Write figures as JSON, `finite`. **Raises:** `hapjax.InputError` as `replacing`."""
     with replacing(path) as out:
-        json.dump(figures, out, indent=2)
+        json.dump(finite(figures), out, indent=2, allow_nan=False)
         out.write("\n")
+
+
+def finite(figures: Any) -> Any:
+    """The figures with `None` for NaN and infinity, which JSON has no words for; their tuples become lists."""
+    if isinstance(figures, Mapping):
+        return {key: finite(value) for key, value in figures.items()}
+    if isinstance(figures, list | tuple):
+        return [finite(value) for value in figures]
+    return None if isinstance(figures, float) and not math.isfinite(figures) else figures
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:

@@ -1,12 +1,11 @@
 """Which devices there are on this computer, and what they say of themselves."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from hapjax import InputError
-from hapjax.files import replacing
+from hapjax.files import write_json
 
 from . import falcon, inverse3
 from .device import DeviceError
@@ -47,9 +46,7 @@ def report(url: str, file: Path | None) -> None:
         limits = "" if device.force_limit is None else f" (at most {device.force_limit:g} N)"
         print(f"{named}: {device.sentence}{limits}")
     if file is not None:
-        with replacing(file) as out:
-            json.dump([device._asdict() for device in found], out, indent=2)
-            out.write("\n")
+        write_json(file, [device._asdict() for device in found])
 
 
 def _falcons() -> Iterator[Attached]:

@@ -1,7 +1,5 @@
 """What a fit returns, and its forms for programs."""
 
-import json
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -11,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hapjax import Finding, Recording, Scene
-from hapjax.files import replacing
+from hapjax.files import finite, write_json
 
 from .possible import possible
 from .problem import Problem
@@ -131,18 +129,8 @@ class FitResult:
             "adjusted": list(self.adjusted),
             "findings": [asdict(finding) for finding in self.findings],
         }
-        return _finite(figures)
+        return finite(figures)
 
     def save_json(self, path: str | os.PathLike, beside: Mapping[str, Any] | None = None) -> None:
         """Write the figures as JSON, whole or not at all; `beside`, other figures under keys of their own."""
-        with replacing(path) as file:
-            json.dump(self.to_dict() | _finite(dict(beside or {})), file, indent=2, allow_nan=False)
-            file.write("\n")
-
-
-def _finite(figure: Any) -> Any:
-    if isinstance(figure, Mapping):
-        return {key: _finite(value) for key, value in figure.items()}
-    if isinstance(figure, list | tuple):
-        return [_finite(value) for value in figure]
-    return None if isinstance(figure, float) and not math.isfinite(figure) else figure
+        write_json(path, self.to_dict() | dict(beside or {}))

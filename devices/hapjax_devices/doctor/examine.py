@@ -1,6 +1,5 @@
 """The whole examination, said in a list and in figures."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -8,7 +7,7 @@ from rich.console import Console
 from rich.text import Text
 
 from hapjax import InputError
-from hapjax.files import replacing
+from hapjax.files import write_json
 
 from .check import Check
 from .system import settings
@@ -41,9 +40,7 @@ def report(rate: float, seconds: float, file: Path | None) -> None:
     poor = [check.name for check in checks if check.state == "poor" and check.advice]
     console.print(f"to be mended: {', '.join(poor)}" if poor else "nothing to be mended", soft_wrap=True)
     if file is not None:
-        with replacing(file) as out:
-            json.dump({check.name: check._asdict() for check in checks}, out, indent=2)
-            out.write("\n")
+        write_json(file, {check.name: check._asdict() for check in checks})
 
 
 def _examined(rate: float, seconds: float) -> Iterator[Check]:

@@ -1,6 +1,5 @@
 """Who starts the processes of a session, watches over them, and ends them in order."""
 
-import json
 import select
 import signal
 import sys
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hapjax import InputError
-from hapjax.files import check_writable, replacing
+from hapjax.files import check_writable, write_json
 from hapjax.tuning.settings import Tuning
 
 from .. import viewer
@@ -66,9 +65,7 @@ def supervise(
     figures = watch.figures()
     _summary(figures)
     if file is not None:
-        with replacing(file) as out:
-            json.dump(figures, out, indent=2)
-            out.write("\n")
+        write_json(file, figures)
     return code
 
 
