@@ -11,6 +11,7 @@ from rich.console import Console
 
 from .errors import InputError
 from .extras import need
+from .progress import each_tick, following
 from .scene import cast
 from .scene_file import save_scene
 
@@ -58,13 +59,15 @@ def _record(console: Console, out: Path, seed: int) -> dict[str, Any]:
         console.print(
             f"{name.replace('_', ' ')}: {task.duration:g} s at 1 kHz, {len(task.devices)} virtual devices"
         )
-        result = servo.run(
-            task.scene,
-            task.devices,
-            task.duration,
-            force_sensor=task.sensors.force,
-            pose_tracker=task.sensors.pose,
-        )
+        with following(task.duration, apart=True) as advance:
+            result = servo.run(
+                task.scene,
+                task.devices,
+                task.duration,
+                force_sensor=task.sensors.force,
+                pose_tracker=task.sensors.pose,
+                stopped=each_tick(advance, "in real time", 1000.0),
+            )
         for sentence in set(result.refused) - told:
             console.print(f"  {sentence}")
         told.update(result.refused)

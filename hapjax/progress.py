@@ -1,7 +1,11 @@
 """What takes long says how far it is."""
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from itertools import count
 from typing import Any
 
 from rich.console import Console
@@ -9,17 +13,77 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 Advance = Callable[[str, float], Any]
 """Takes what is being done, in words, and how much of the whole is done since it was last called."""
+_FRAMES = 4  # a second
 
 
 @contextmanager
-def following(total: float) -> Iterator[Advance]:
-    """Show, on stderr if it is a terminal, what is being done and the time left while the block runs."""
+def following(total: float, apart: bool = False) -> Iterator[Advance]:
+    """Show, on stderr if it is a terminal, what is being done and the time left while the block runs.
+
+    **Arguments:** `apart`: a process of its own draws, for a block that is timed or runs in real time.
+    """
     console = Console(stderr=True)
+    if apart and console.is_terminal:
+        with _drawn_apart(total) as told:
+            yield told
+        return
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(
+        *columns,
+        console=console,
+        transient=True,
+        redirect_stdout=False,  # rich would have it on stderr
+        refresh_per_second=_FRAMES,
+        disable=not console.is_terminal,
+    ) as bar:
         task = bar.add_task("compiling", total=total)
 
         def advance(doing: str, steps: float) -> None:
             bar.update(task, advance=steps, description=doing)
 
         yield advance
+
+
+def each_tick(advance: Advance, doing: str, rate: float) -> Callable[[], bool]:
+    """What a loop of `rate` Hz is to call after each tick, to tell of every tenth of a second; it returns `False`."""
+    every = max(1, round(rate / 10))
+    ticks = count(1)
+
+    def tell() -> bool:
+        if next(ticks) % every == 0:
+            advance(doing, every / rate)
+        return False
+
+    return tell
+
+
+@contextmanager
+def _drawn_apart(total: float) -> Iterator[Advance]:
+    # A session of its own: Ctrl-C is for the program that is followed, whose end closes the pipe.
+    command = [sys.executable, "-P", __file__, str(total)]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+    ) as process:
+        assert process.stdin is not None and process.stdout is not None
+        process.stdout.readline()  # once it draws it takes next to nothing; to begin takes it a core
+        pipe = process.stdin.fileno()
+        os.set_blocking(pipe, False)
+
+        def advance(doing: str, steps: float) -> None:
+            with suppress(OSError):  # a terminal that is held draws nothing; nobody is to wait for it
+                os.write(pipe, f"{steps} {doing}\n".encode())
+
+        yield advance
+
+
+def _draw(total: float) -> None:
+    """Show what comes on stdin until it ends."""
+    with following(total) as advance:
+        print(flush=True)
+        for line in sys.stdin:
+            steps, _, doing = line.rstrip("\n").partition(" ")
+            advance(doing, float(steps))
+
+
+if __name__ == "__main__":
+    _draw(float(sys.argv[1]))

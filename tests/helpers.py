@@ -1,5 +1,6 @@
 """What several test files share."""
 
+import contextlib
 import functools
 
 import equinox as eqx
@@ -13,6 +14,25 @@ import hapjax
 G = 9.81
 # For the few programs that run for longer than they compile: tests/conftest.py has all others compiled in haste.
 well_compiled = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 3})
+
+
+def followed(monkeypatch, *modules) -> list[dict[str, float]]:
+    """The bars that the modules show while the test runs: of each the total, how much was told, and if it is drawn apart."""
+    bars = []
+
+    @contextlib.contextmanager
+    def following(total, apart=False):
+        bar = {"total": total, "told": 0.0, "apart": apart}
+        bars.append(bar)
+
+        def advance(doing, steps):
+            bar["told"] += steps
+
+        yield advance
+
+    for module in modules:
+        monkeypatch.setattr(module, "following", following)
+    return bars
 
 
 def matrix(wxyz) -> np.ndarray:

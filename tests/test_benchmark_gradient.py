@@ -12,6 +12,7 @@ import pytest
 import hapjax
 from hapjax.benchmark import _grip, batch, gradient, gradient_settings
 from hapjax.cli import main
+from helpers import followed
 
 
 def test_the_fingers_hold_the_cube_and_lift_it():
@@ -26,7 +27,9 @@ def test_the_fingers_hold_the_cube_and_lift_it():
 @pytest.mark.slow
 def test_the_gradients_report(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(gradient, "PARAMETERS", (1, 2))
+    bars = followed(monkeypatch, gradient)
     figures = gradient.measure(None, 3, steps=20, lengths=(256, 4096), settings={})
+    assert bars == [{"total": 15.0, "told": 15.0, "apart": True}]
     own = figures["times"]["as it is"]
     assert list(own) == ["forward pass", "reverse", "reverse, checkpoint", "forward, 1", "forward, 2"]
     assert own["forward pass"]["ratio"] == 1
@@ -55,7 +58,10 @@ def pauses(unit: float):
 
 @pytest.mark.slow
 def test_settings_are_those_of_processes_of_their_own():
-    found = gradient_settings.side_by_side(pauses, (0.003,), {"slower": {"SLOWER": "4"}})
+    told = []
+    slower = {"slower": {"SLOWER": "4"}}
+    found = gradient_settings.side_by_side(pauses, (0.003,), slower, lambda doing, _: told.append(doing))
+    assert told[:3] == ["built", "built, slower", "round 1 of 10"] and len(told) == 12
     assert "SLOWER" not in os.environ and list(found) == ["as it is", "slower"]
     for name, times in (("as it is", 1), ("slower", 4)):
         assert found[name]["pass"]["run_s"] >= 0.003 * times and found[name]["pass"]["compile_s"] == 0.5

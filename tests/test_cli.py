@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 import hapjax
+from hapjax.benchmark import latency
 from hapjax.cli import COMMANDS, main
+from helpers import followed
 from test_recording_mcap import bag
 
 HAPJAX = str(Path(sys.executable).parent / "hapjax")
@@ -171,7 +173,9 @@ def test_latency_prints_and_writes_its_figures(tmp_path, monkeypatch, capsys):
     scene, file = write_table(tmp_path / "table.toml", 0.5, 1000.0), tmp_path / "latency.json"
     monkeypatch.chdir(tmp_path)
     quicker = ["--scene", scene, "--fingers", "2", "--seconds", "0.2"]
+    bars = followed(monkeypatch, latency)
     assert main([*example("benchmark"), *quicker]) == 0
+    assert bars == [{"total": 2.2, "told": pytest.approx(2.2), "apart": True}]
     printed, figures = capsys.readouterr().out, json.loads(file.read_text())
     for words in ("scan", "packed call", "empty call", "late by", "missed ticks", "compile"):
         assert words in " ".join(printed.split())
@@ -226,10 +230,12 @@ def test_the_demo_finds_the_truth(tmp_path):
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        env=os.environ | {"XLA_FLAGS": flags},
+        env=os.environ | {"XLA_FLAGS": flags, "FORCE_COLOR": "1"},  # as on a terminal
     )
     assert run.returncode == 0, run.stdout + run.stderr
-    assert "7 of 7 truths inside their 99 % interval" in " ".join(run.stdout.split())
+    said = " ".join(re.sub(r"\x1b\[[\d;]*m", "", run.stdout).split())
+    assert "7 of 7 truths inside their 99 % interval" in said
+    assert "in real time" in run.stderr and "of 4, step" in run.stderr and "%" not in run.stderr
     truth, start = (
         hapjax.load_scene(tmp_path / "hapjax-demo" / f"{name}.toml") for name in ("truth", "start")
     )

@@ -11,10 +11,11 @@ import numpy as np
 
 from ..errors import InputError
 from ..extras import need
+from ..progress import Advance
 from ..scene import Scene, dtype_of
 from ..simulate import init, rollout
 
-SCAN_STEPS = 2000
+SCAN_STEPS, RUNS = 2000, 9
 
 
 def felt(scene: Scene | None, fingers: int) -> tuple[Scene, list[Any]]:
@@ -41,12 +42,18 @@ def compiled(scene: Scene, hip: np.ndarray, gimbal: np.ndarray | None) -> tuple[
     return partial(program, scene, state, hips, None, gimbals), time.perf_counter() - began
 
 
-def step_us(loops: Sequence[Callable[[], Any]], runs: int = 9) -> list[float]:
-    """us of a step of each compiled loop: medians over runs that take turns, so that a busy moment hits all alike."""
+def step_us(
+    loops: Sequence[Callable[[], Any]], runs: int = RUNS, advance: Advance = lambda doing, steps: None
+) -> list[float]:
+    """us of a step of each compiled loop: medians over runs that take turns, so that a busy moment hits all alike.
+
+    A first run of each is not counted; `advance` is told of that, too.
+    """
     taken = np.empty((runs + 1, len(loops)))
     for row in taken:
         for i, loop in enumerate(loops):
             began = time.perf_counter()
             jax.block_until_ready(loop())
             row[i] = (time.perf_counter() - began) / SCAN_STEPS * 1e6
+        advance("timing", 1.0)
     return np.median(taken[1:], axis=0).tolist()

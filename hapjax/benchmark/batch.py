@@ -1,6 +1,5 @@
 """How many steps and gradients a second a batch does, beside MuJoCo's steps, and how far a held object creeps in both."""
 
-import json
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -18,7 +17,7 @@ from rich.table import Table
 
 from ..errors import InputError
 from ..extras import need
-from ..files import replacing
+from ..files import write_json
 from ..integrate import METHODS
 from ..progress import following
 from ..scene import Scene
@@ -44,7 +43,7 @@ def measure(
     """
     mujoco = need("mujoco", "bench")
     batches, creep, names = [], {}, integrators or METHODS
-    with following(float(len(sizes) + len(names) + 2)) as advance:
+    with following(float(len(sizes) + len(names) + 2), apart=True) as advance:
         for size in sizes:
             batches.append(_batch(size, steps))
             advance(f"batches of {size}", 1.0)
@@ -90,9 +89,7 @@ def report(scene: Scene | None, fingers: int, file: Path | None) -> None:
         f"MuJoCo in the first second: {first * 1e6:.4g} um; beyond about 30 mm the cube is out of the fingers"
     )
     if file is not None:
-        with replacing(file) as out:
-            json.dump(figures, out, indent=2)
-            out.write("\n")
+        write_json(file, figures)
 
 
 def _batch(size: int, steps: int) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """Error against run time: work-precision diagrams of every integrator, beside MuJoCo's, on cases with a known truth."""
 
 import csv
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -15,7 +14,7 @@ from rich.console import Console
 
 from ..errors import InputError
 from ..extras import need
-from ..files import check_makeable, replacing
+from ..files import check_makeable, finite, replacing, write_json
 from ..integrate import METHODS
 from ..progress import Advance, following
 from ..scene import Scene, cast
@@ -89,7 +88,8 @@ def report(
                 [own.scene_case(scene, *own.motion_of(scene, hip, fingers, rate), rate)],
                 own.sweep_at(rate),
             )
-        with following(float(sum(len(methods) + len(_mujoco.variants(c)) for c in chosen))) as advance:
+        curves = sum(len(methods) + len(_mujoco.variants(case)) for case in chosen)
+        with following(float(curves), apart=True) as advance:
             figures = measure(chosen, methods, sweep, advance)
             if scene is None and {"semi_implicit", "implicit"} <= {*methods}:
                 figures["step_us"] = implicit_cost()
@@ -98,16 +98,14 @@ def report(
         found = own.choices(of_scene, rate)
         figures["choices"] = [asdict(choice) for choice in found]
         figures["advice"] = own.advice(found, error, rate, of_scene["floor"])
-    figures = _finite(figures)
+    figures = finite(figures)
     console = Console()
     for table in page.tables(figures):
         console.print(table)
     for sentence in page.sentences(figures):
         console.print(sentence, markup=False, highlight=False)
     if file is not None:
-        with replacing(file) as stream:
-            json.dump(figures, stream, indent=2)
-            stream.write("\n")
+        write_json(file, figures)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_points(figures, out / "error.csv")
@@ -132,15 +130,6 @@ def _check(fingers: int, cases, integrators, error: float, rate: float) -> None:
         raise InputError(f"error is {error:g} m; allowed: above 0 and finite")
     if not 10 <= rate <= 1e5:
         raise InputError(f"rate is {rate:g} Hz; allowed: 10 to 100000")
-
-
-def _finite(value: Any) -> Any:
-    """The figures with `None` for what is no number, as JSON has it."""
-    if isinstance(value, dict):
-        return {key: _finite(part) for key, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(part) for part in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def write_points(figures: dict[str, Any], path: Path) -> None:

@@ -1,6 +1,5 @@
 """What gradients of a rollout cost: time beside the forward pass, compile time, and memory against the number of steps."""
 
-import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,12 +16,13 @@ from rich.console import Console
 from rich.table import Table
 
 from ..errors import InputError
-from ..files import replacing
+from ..files import write_json
+from ..progress import Advance, following
 from ..scene import Scene, dtype_of
 from ..simulate import State, init, rollout
 from . import _grip
 from .error_scene import operator
-from .gradient_settings import AS_IT_IS, Programs, others, side_by_side
+from .gradient_settings import AS_IT_IS, ROUNDS, Programs, others, side_by_side
 
 STEPS, LENGTHS, PARAMETERS, LIFT = 1000, (250, 1000, 4000), (1, 4, 10), 0.02
 
@@ -46,9 +46,14 @@ def measure(
     """
     if not 1 <= fingers <= 100:
         raise InputError(f"fingers is {fingers}; allowed: 1 to 100")
-    path = _path(scene, fingers)
-    times = side_by_side(_programs, (scene, fingers, steps), others() if settings is None else settings)
-    scene = _grip.scene() if scene is None else scene
+    path, beside = _path(scene, fingers), others() if settings is None else settings
+    with following(float(1 + len(beside) + ROUNDS + 2 * len(lengths)), apart=True) as advance:
+        times = side_by_side(_programs, (scene, fingers, steps), beside, advance)
+        scene = _grip.scene() if scene is None else scene
+        memory = {
+            "without checkpoint": _memory(scene, path, lengths, False, advance),
+            "checkpoint": _memory(scene, path, lengths, True, advance),
+        }
     return {
         "device": str(jax.devices()[0]),
         "dtype": str(dtype_of(scene)),
@@ -58,10 +63,7 @@ def measure(
         "steps": steps,
         "integrator": type(scene.integrator).__name__,
         "times": times,
-        "memory": {
-            "without checkpoint": _memory(scene, path, lengths, False),
-            "checkpoint": _memory(scene, path, lengths, True),
-        },
+        "memory": memory,
     }
 
 
@@ -71,9 +73,7 @@ def report(scene: Scene | None, fingers: int, file: Path | None) -> None:
     for shown in (_time_table(figures), *fastest(figures), _memory_table(figures)):
         Console().print(shown)
     if file is not None:
-        with replacing(file) as out:
-            json.dump(figures, out, indent=2)
-            out.write("\n")
+        write_json(file, figures)
 
 
 def _programs(scene: Scene | None, fingers: int, steps: int) -> Programs:
@@ -137,7 +137,7 @@ def _compiled(function, scene: Scene, state: State, hips: jax.Array, checkpoint:
     return program, time.perf_counter() - began
 
 
-def _memory(scene: Scene, path, lengths: Sequence[int], checkpoint: bool) -> dict[str, Any]:
+def _memory(scene: Scene, path, lengths: Sequence[int], checkpoint: bool, advance: Advance) -> dict[str, Any]:
     taken = []
     for steps in lengths:
         hips = path(steps)
@@ -149,6 +149,7 @@ def _memory(scene: Scene, path, lengths: Sequence[int], checkpoint: bool) -> dic
                 f"{jax.devices()[0]} does not tell memory; allowed: a device that does, a CPU say"
             )
         taken.append(analysis.temp_size_in_bytes)
+        advance(f"memory of {steps} steps", 1.0)
     exponent = float(np.polyfit(np.log(lengths), np.log(taken), 1)[0])
     return {"steps": list(lengths), "bytes": taken, "exponent": exponent}
 

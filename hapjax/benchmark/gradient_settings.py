@@ -10,6 +10,8 @@ from typing import Any
 
 import jax
 
+from ..progress import Advance
+
 AS_IT_IS, ROUNDS = "as it is", 10
 ONE_THREAD = {"NPROC": "1"}
 FLAGS = {
@@ -38,7 +40,10 @@ def others() -> dict[str, dict[str, str]]:
 
 
 def side_by_side(
-    build: Callable[..., Programs], arguments: tuple[Any, ...], settings: Mapping[str, Mapping[str, str]]
+    build: Callable[..., Programs],
+    arguments: tuple[Any, ...],
+    settings: Mapping[str, Mapping[str, str]],
+    advance: Advance = lambda doing, steps: None,
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Of each setting and program `run_s`, the least of several runs, its `ratio` to the setting's first program, and
     `compile_s`.
@@ -46,15 +51,18 @@ def side_by_side(
     Programs and settings take turns, so that a busy moment hits all alike. The first setting is that of this process.
 
     **Arguments:** `build(*arguments)`: the programs; it goes to other processes, so it is a module's own function.
-    `settings`: of each further process, the variables of its environment that differ.
+    `settings`: of each further process, the variables of its environment that differ. `advance` is told of each
+    setting whose programs are built, and of each of `ROUNDS`.
     """
     own = build(*arguments)
+    advance("built", 1.0)
     compile_s = {AS_IT_IS: _compile_s(own)}
     with contextlib.ExitStack() as stack:
         pipes = {}
         for name, variables in settings.items():  # one after the other, so that compile times are alike
             pipes[name] = stack.enter_context(_process(build, arguments, variables))
             compile_s[name] = pipes[name].recv()
+            advance(f"built, {name}", 1.0)
         rounds = []
         for _ in range(ROUNDS):
             taken = {AS_IT_IS: _round(own)}
@@ -62,6 +70,7 @@ def side_by_side(
                 pipe.send("go")
                 taken[name] = pipe.recv()
             rounds.append(taken)
+            advance(f"round {len(rounds)} of {ROUNDS}", 1.0)
     return {name: _least([taken[name] for taken in rounds[1:]], compile_s[name]) for name in compile_s}
 
 

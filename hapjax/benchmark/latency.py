@@ -1,6 +1,5 @@
 """How fast a step is: inside a compiled loop, called from Python, in the servo loop, and how long it compiles."""
 
-import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -13,8 +12,9 @@ from rich.table import Table
 
 from ..errors import InputError
 from ..extras import need
-from ..files import replacing
+from ..files import write_json
 from ..packed import PackedStep, pack
+from ..progress import each_tick, following
 from ..scene import Scene, dtype_of
 from ._timing import compiled, felt, step_us
 
@@ -39,12 +39,17 @@ def measure(scene: Scene | None, fingers: int, seconds: float) -> dict[str, Any]
     scene, devices = felt(scene, fingers)
     hip = np.stack([np.asarray(device.path[0]) for device in devices])
     gimbal = np.zeros(fingers) if scene.torsion is not None and scene.torsion.needs_gimbal else None
-    packed = pack(scene, hip, 1 / RATE, gimbal)
-    loop_of_steps, scan_compile = compiled(scene, hip, gimbal)
-    (scan_step,) = step_us([loop_of_steps])
-    inputs = [x.astype(packed.dtype) for x in (hip, gimbal) if x is not None]
-    loop = servo.run(scene, devices, seconds, RATE)
-    packed_call, empty_call = _calls([packed.call, _empty(packed, inputs)], packed, inputs)
+    with following(seconds + 2.0, apart=True) as advance:
+        packed = pack(scene, hip, 1 / RATE, gimbal)
+        advance("compiling", 1.0)
+        loop_of_steps, scan_compile = compiled(scene, hip, gimbal)
+        advance("steps inside a scan", 1.0)
+        (scan_step,) = step_us([loop_of_steps])
+        inputs = [x.astype(packed.dtype) for x in (hip, gimbal) if x is not None]
+        told = each_tick(advance, "servo loop", RATE)
+        loop = servo.run(scene, devices, seconds, RATE, stopped=told)
+        advance("calls", 0.0)
+        packed_call, empty_call = _calls([packed.call, _empty(packed, inputs)], packed, inputs)
     return {
         "device": str(jax.devices()[0]),
         "dtype": str(dtype_of(scene)),
@@ -66,9 +71,7 @@ def report(scene: Scene | None, fingers: int, seconds: float, file: Path | None)
         console.print(sentence)
     console.print(_table(figures))
     if file is not None:
-        with replacing(file) as out:
-            json.dump(figures, out, indent=2)
-            out.write("\n")
+        write_json(file, figures)
 
 
 def _empty(packed: PackedStep, inputs: list[np.ndarray]) -> Callable[..., Any]:

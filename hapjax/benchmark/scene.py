@@ -1,7 +1,6 @@
 """What each part of a scene costs: equations, floating-point operations and time of a step without it."""
 
 import dataclasses
-import json
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,18 +10,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 from rich.table import Column, Table
 
 from ..body import Body
 from ..errors import InputError
-from ..files import replacing
+from ..files import write_json
 from ..integrate import SemiImplicit
+from ..progress import following
 from ..scene import Object, Scene, dtype_of
 from ..shape import Mesh
 from ..simulate import init, step
 from ..surface import Surface
-from ._timing import compiled, felt, step_us
+from ._timing import RUNS, compiled, felt, step_us
 
 
 def measure(scene: Scene | None, fingers: int) -> dict[str, Any]:
@@ -38,12 +37,15 @@ def measure(scene: Scene | None, fingers: int) -> dict[str, Any]:
     scene, devices = felt(scene, fingers)
     hip = np.stack([np.asarray(device.path[0]) for device in devices])
     variants = [("everything", scene), *without_each_part(scene)]
-    compiling = track(variants, "compile", transient=True, console=Console(stderr=True))
-    costs, loops = zip(*(_cost(variant, hip) for _, variant in compiling), strict=True)
-    parts = [
-        {"without": name, **cost, "step_us": taken}
-        for (name, _), cost, taken in zip(variants, costs, step_us(loops), strict=True)
-    ]
+    costs, loops = [], []
+    with following(float(len(variants) + RUNS + 1), apart=True) as advance:
+        for name, variant in variants:
+            cost, loop = _cost(variant, hip)
+            costs.append({"without": name, **cost})
+            loops.append(loop)
+            advance("compiling", 1.0)
+        taken = step_us(loops, advance=advance)
+    parts = [cost | {"step_us": us} for cost, us in zip(costs, taken, strict=True)]
     return {
         "device": str(jax.devices()[0]),
         "dtype": str(dtype_of(scene)),
@@ -57,9 +59,7 @@ def report(scene: Scene | None, fingers: int, file: Path | None) -> None:
     figures = measure(scene, fingers)
     Console().print(_table(figures))
     if file is not None:
-        with replacing(file) as out:
-            json.dump(figures, out, indent=2)
-            out.write("\n")
+        write_json(file, figures)
 
 
 def equations(jaxpr: Any) -> int:

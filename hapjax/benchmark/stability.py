@@ -1,6 +1,5 @@
 """Where each integrator settles, rings or blows up, and how stiff a wall a device can be pressed on."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from rich.console import Console
 
 from ..errors import InputError
 from ..extras import need
-from ..files import check_makeable, replacing
+from ..files import check_makeable, write_json
 from ..integrate import METHODS
 from ..progress import Advance, following
 from ..scene import Scene
@@ -104,7 +103,8 @@ def report(
         need("matplotlib", "bench")
         check_makeable(out)
     console = Console()
-    with jax.enable_x64(True), following(_work(scene, maps, integrators, quick, rate)) as advance:
+    work = _work(scene, maps, integrators, quick, rate)
+    with jax.enable_x64(True), following(work, apart=True) as advance:
         figures = measure(scene, maps, integrators, quick, rate, fingers, advance, error, hip)
     tables, sentences = _said(figures, rate, error)
     for title, (header, rows) in tables.items():
@@ -112,10 +112,8 @@ def report(
     for sentence in sentences:
         console.print(sentence)
     if file is not None:
-        with replacing(file) as opened:
-            asked = {"device": str(jax.devices()[0]), "rate": rate, "error": error}
-            json.dump(asked | _plain(figures), opened, indent=1)
-            opened.write("\n")
+        asked = {"device": str(jax.devices()[0]), "rate": rate, "error": error}
+        write_json(file, asked | _plain(figures))
     if out is not None:
         made = page.write(out, figures["maps"], figures["cells"], figures["loop"], tables, sentences)
         print(f"report: {made}")
@@ -143,8 +141,6 @@ def _said(figures: Mapping[str, Any], rate: float, error: float | None):
 def _plain(figures: Mapping[str, Any]) -> dict[str, Any]:
     names = ("cells", "loop", "choices", "walls")
     found = {n: [row._asdict() for row in figures[n]] for n in names}
-    for row in found["choices"]:  # JSON has no infinity, which is the error of what blew up
-        row["error"] = None if row["error"] == np.inf else row["error"]
     return {"maps": list(figures["maps"]), "floor": figures["floor"]} | found
 
 

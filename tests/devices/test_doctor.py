@@ -10,6 +10,7 @@ from hapjax import InputError
 from hapjax.cli import main
 from hapjax_devices import DeviceError, doctor
 from hapjax_devices.doctor import system, timing
+from helpers import followed
 
 CPU = "sys/devices/system/cpu"
 
@@ -137,8 +138,10 @@ def test_the_loop_is_timed_as_it_is():
 
 
 @pytest.mark.slow
-def test_the_command_says_it_all(tmp_path, capsys):
+def test_the_command_says_it_all(tmp_path, monkeypatch, capsys):
+    bars = followed(monkeypatch, timing)
     assert main(["doctor", "--rate", "100", "--seconds", "0.1", "--json", str(tmp_path / "d.json")]) == 0
+    assert bars == [{"total": 0.1, "told": 0.1, "apart": True}] * 3  # none while something is printed
     printed = capsys.readouterr().out
     found = json.loads((tmp_path / "d.json").read_text())
     assert set(found) == {

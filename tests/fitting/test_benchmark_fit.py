@@ -13,6 +13,7 @@ from hapjax.cli import main
 from hapjax_fitting.benchmark import beside_mujoco, by_hand, efficiency, report, speed, starts
 from hapjax_fitting.benchmark.cases import CASES, Case, stroke
 from hapjax_fitting.parameters import free_parameters
+from helpers import followed
 
 FLOOR = "object.floor.surface."
 _PROGRAM = {"error": [1, 1], "width": [1, 1], "hold": [1, 1], "arrived": 1, "warm_s": 1.0, "first_s": 1.0}
@@ -95,9 +96,14 @@ def test_the_command(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(report, "FROM_AFAR", {"mu, stiffness": 100})
     monkeypatch.setattr(speed, "COUNTS", (1, 3, 9))
     monkeypatch.setattr(speed, "_ROUNDS", 1)
-    monkeypatch.setattr(beside_mujoco, "measure", lambda recordings: BESIDE | {"recordings": recordings})
+    monkeypatch.setattr(
+        beside_mujoco, "measure", lambda recordings, advance: BESIDE | {"recordings": recordings}
+    )
     file, folder = tmp_path / "fit.json", tmp_path / "estimates"
+    bars = followed(monkeypatch, report)
     assert main(["benchmark", "fit", "--quick", "--json", str(file), "--out", str(folder)]) == 0
+    # Of estimates, starts, what is beside them (here nothing), and times.
+    assert [(bar["total"], bar["told"]) for bar in bars] == [(2, 2), (2, 2), (1, 0), (3, 3)]
     figures = json.loads(file.read_text())
     assert [p["name"] for p in figures["efficiency"][0]["parameters"]] == [FLOOR + "mu", FLOOR + "stiffness"]
     assert figures["starts"] == [{"case": "mu, stiffness", "fits": 2, "at_best": 2, "said": 0, "hidden": 0}]

@@ -76,7 +76,9 @@ def test_mujocos_model_is_the_same_block():
 @pytest.mark.slow
 def test_both_programs_get_the_same_recording():
     pytest.importorskip("mujoco.sysid")
-    figures = beside_mujoco.measure(1)
+    told = []
+    figures = beside_mujoco.measure(1, lambda *said: told.append(said))
+    assert told == [(name, 0.5) for name in figures["programs"]]
     ours, theirs = figures["programs"]["hapjax"], figures["programs"]["mujoco.sysid"]
     assert ours["arrived"] == 1 and max(ours["error"]) < 4 and max(theirs["error"]) < 10
     np.testing.assert_allclose(ours["width"], 1, atol=0.1)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 import hapjax
+from hapjax.progress import each_tick, following
 
 from .. import demo
 from ..realtime import MonotonicClock, Pacer, uncollected, undisturbed
@@ -25,6 +26,11 @@ def timings(rate: float, seconds: float) -> Iterator[Check]:
 
 def step(rate: float, seconds: float) -> Check:
     """The demonstration's step in the loop, and the highest rate that lateness and step together leave room for."""
+    with following(seconds, apart=True) as advance:
+        return _step(rate, seconds, each_tick(advance, "loop with a step", rate))
+
+
+def _step(rate: float, seconds: float, told: Callable[[], Any]) -> Check:
     task = demo.three_finger_lift(0)
     hip = np.stack([device.path[0] for device in task.devices])
     packed = hapjax.pack(task.scene, hip, 1 / rate)
@@ -36,7 +42,7 @@ def step(rate: float, seconds: float) -> Check:
 
     for _ in range(200):
         work()
-    late, worked, missed = loop(rate, seconds, True, work)
+    late, worked, missed = loop(rate, seconds, True, work, told)
     figures = _figures(late, missed) | {"call_us": _percentiles(worked), "rate_hz": rate}
     whole = figures["lateness_us"]["p99.9"] + figures["call_us"]["p99.9"]
     figures["holds_hz"] = highest = highest_rate(whole)
@@ -58,9 +64,13 @@ def highest_rate(whole: float) -> int:
 
 
 def loop(
-    rate: float, seconds: float, privileged: bool, work: Callable[[], Any] = lambda: None
+    rate: float,
+    seconds: float,
+    privileged: bool,
+    work: Callable[[], Any] = lambda: None,
+    told: Callable[[], Any] = lambda: None,
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """How late each tick was and how long its work took, us, and how many were missed."""
+    """How late each tick was and how long its work took, us, and how many were missed; `told` is called after each."""
     ticks = max(1, round(rate * seconds))
     late, worked = np.zeros(ticks), np.zeros(ticks)
     with ExitStack() as stack:
@@ -73,11 +83,13 @@ def loop(
             began = time.perf_counter_ns()
             work()
             worked[tick] = (time.perf_counter_ns() - began) * 1e-3
+            told()
     return late, worked, pacer.missed
 
 
 def _idle(name: str, rate: float, seconds: float, privileged: bool) -> Check:
-    late, _, missed = loop(rate, seconds, privileged)
+    with following(seconds, apart=True) as advance:
+        late, _, missed = loop(rate, seconds, privileged, told=each_tick(advance, name, rate))
     figures = _figures(late, missed)
     lateness = figures["lateness_us"]
     sentence = (

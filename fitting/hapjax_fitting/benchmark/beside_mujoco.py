@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hapjax import cast
+from hapjax.progress import Advance
 
 from ..fit import fit
 from . import mujoco_sysid, pushed
@@ -21,7 +22,7 @@ _NORMAL = 1.959964
 Found = tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]
 
 
-def measure(recordings: int) -> dict[str, Any]:
+def measure(recordings: int, advance: Advance = lambda doing, steps: None) -> dict[str, Any]:
     """Of each program: `error` of mu and mass, root mean square, and mean `width` of 95 % intervals, both over those of
     the bound of Cramer and Rao, and how often they `hold` the truth, from starts up to 3 % off; how many searches from
     starts up to a factor 10 off `arrived` within 2 % of the truth, the median s of those (`warm_s`), and the s of the
@@ -40,6 +41,7 @@ def measure(recordings: int) -> dict[str, Any]:
             end, taken = _timed(program, recording, away)
             found[name]["far"].append(end)
             found[name]["s"].append(taken)
+            advance(name, 1.0 / len(programs))
     bound = pushed.least_errors()
     return {
         "recordings": recordings,

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hapjax import Scene
+from hapjax.progress import Advance
 
 from ..fit import fit
 from ..parameters import Parameter, free_parameters, values_of, with_values
@@ -18,7 +19,9 @@ _HALVINGS, _SAME = 40, 1e-9  # N
 _OFF = 0.03  # how far the start is off, as a share of the number
 
 
-def measure(name: str, draws: int, seed: int = 0) -> tuple[dict[str, Any], Float[np.ndarray, "n p 3"]]:
+def measure(
+    name: str, draws: int, seed: int = 0, advance: Advance = lambda doing, steps: None
+) -> tuple[dict[str, Any], Float[np.ndarray, "n p 3"]]:
     """Fit so many recordings of a case, and compare; also each fit's estimates, and ends of 95 % intervals.
 
     Of each number: `truth`; `rmse`, root mean square error; `bound`, the least that an estimator without bias can
@@ -39,6 +42,7 @@ def measure(name: str, draws: int, seed: int = 0) -> tuple[dict[str, Any], Float
         result = fit(start, recording, case.free, noise=case.noise, starts=1)
         rows.append([_row(estimate) for estimate in result.parameters.values()])
         bounds.append(least_variance(case, parameters, jnp.asarray(recording.hip)))
+        advance(name, 1.0)
     estimates, variances = np.array(rows), np.array(bounds)
     numbers = [
         {"name": p.name, "held_against": "uniform" if _jumps(p) else "Cramer-Rao"}

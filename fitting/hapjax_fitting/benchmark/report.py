@@ -1,7 +1,6 @@
 """The measurements of the fit, as tables and files."""
 
 import csv
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from hapjax import InputError, Scene
-from hapjax.files import check_makeable, replacing
+from hapjax.files import check_makeable, replacing, write_json
+from hapjax.progress import following
 
 from ..parameters import free_parameters
 from . import beside_mujoco, efficiency, speed, starts
@@ -40,26 +40,26 @@ def report(scene: Scene | None, quick: bool, out: Path | None, file: Path | None
     console, shorter = Console(), _QUICK if quick else 1
     figures: dict[str, Any] = {"cores": os.cpu_count(), "quick": quick, "efficiency": []}
     with jax.enable_x64(True):
-        for name, draws in DRAWS.items():
-            row, estimates = efficiency.measure(name, draws // shorter)
-            figures["efficiency"].append(row)
-            if out is not None:
-                _write(out, name, estimates)
+        draws = {name: count // shorter for name, count in DRAWS.items()}
+        with following(float(sum(draws.values())), apart=True) as advance:
+            for name, count in draws.items():
+                row, estimates = efficiency.measure(name, count, advance=advance)
+                figures["efficiency"].append(row)
+                if out is not None:
+                    _write(out, name, estimates)
         console.print(efficiency_table(figures["efficiency"]))
-        figures["starts"] = [starts.from_afar(name, -(-fits // shorter)) for name, fits in FROM_AFAR.items()]
+        fits = {name: -(-count // shorter) for name, count in FROM_AFAR.items()}
+        with following(float(sum(fits.values())), apart=True) as advance:
+            figures["starts"] = [starts.from_afar(*each, advance=advance) for each in fits.items()]
         console.print(starts_table(figures["starts"]))
         figures["beside_mujoco"] = beside(max(1, beside_mujoco.RECORDINGS // shorter))
         console.print(beside_table(figures["beside_mujoco"]), markup=False)
-        figures["minute"] = speed.minute(_MINUTE / shorter)
-        figures["grasp"] = speed.grasp(_GRASP / shorter)
-        figures["recordings"] = speed.numbers(speed.COUNTS[:2] if quick else speed.COUNTS)
+        figures |= times(_MINUTE / shorter, _GRASP / shorter, speed.COUNTS[:2] if quick else speed.COUNTS)
     for table in (speed_table(figures), numbers_table(figures["recordings"])):
         console.print(table)
     figures["load"] = os.getloadavg()
     if file is not None:
-        with replacing(file) as opened:
-            json.dump(figures, opened, indent=2)
-            opened.write("\n")
+        write_json(file, figures)
 
 
 def _write(folder: Path, name: str, estimates: np.ndarray) -> None:
@@ -105,9 +105,22 @@ def starts_table(rows: Sequence[dict[str, Any]]) -> Table:
 def beside(recordings: int) -> dict[str, Any]:
     """The figures beside `mujoco.sysid`, or what is `missing` for them."""
     try:
-        return beside_mujoco.measure(recordings)
+        with following(float(recordings), apart=True) as advance:
+            return beside_mujoco.measure(recordings, advance)
     except InputError as error:
         return {"missing": str(error)}
+
+
+def times(minute: float, grasp: float, counts: tuple[int, ...]) -> dict[str, Any]:
+    """How long fits take: of so many seconds of stroking and of a grasp, and of so many recordings."""
+    with following(3.0, apart=True) as advance:
+        figures: dict[str, Any] = {"minute": speed.minute(minute)}
+        advance("times of a minute", 1.0)
+        figures["grasp"] = speed.grasp(grasp)
+        advance("times of a grasp", 1.0)
+        figures["recordings"] = speed.numbers(counts)
+        advance("times of many", 1.0)
+    return figures
 
 
 def beside_table(figures: dict[str, Any]) -> Table | str:

@@ -5,6 +5,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from hapjax.progress import Advance
+
 from ..fit import fit
 from ..parameters import free_parameters, values_of, with_values
 from ..problem import NOTICEABLE
@@ -13,7 +15,9 @@ from .cases import CASES
 FACTOR = 10.0
 
 
-def from_afar(name: str, fits: int, seed: int = 0) -> dict[str, Any]:
+def from_afar(
+    name: str, fits: int, seed: int = 0, advance: Advance = lambda doing, steps: None
+) -> dict[str, Any]:
     """Fit so many recordings of a case, each from a first start a factor 10 off in every number, up or down at random.
 
     The best loss is that of a fit which starts at the truth. `at_best`: how many ended there, but for what chance makes of
@@ -33,4 +37,5 @@ def from_afar(name: str, fits: int, seed: int = 0) -> dict[str, Any]:
         reached = found.loss <= best.loss + NOTICEABLE / 2
         at_best += reached
         said += not reached and not found.converged
+        advance(name, 1.0)
     return {"case": name, "fits": fits, "at_best": at_best, "said": said, "hidden": fits - at_best - said}
