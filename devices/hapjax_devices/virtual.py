@@ -1,5 +1,7 @@
 """A haptic device that is not there, with the faults of one that is."""
 
+from math import hypot, isfinite, trunc
+
 import numpy as np
 from jaxtyping import Float
 
@@ -102,13 +104,13 @@ class VirtualDevice:
         return np.rint(self.operator.position / self.resolution) * self.resolution
 
     def _driven(self, force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-        if not np.all(np.isfinite(force)):
+        x, y, z = force.tolist()  # NumPy's calls take longer for three numbers
+        size, most, step = hypot(x, y, z), self.force_limit, self._force_step
+        if not (isfinite(x) and isfinite(y) and isfinite(z)):
             raise DeviceError(f"the force is {force.tolist()} N; allowed: finite numbers")
-        size = float(np.sqrt(force @ force))
-        if size > self.force_limit:
-            force = force * (self.force_limit / size)
-        steps = force / self._force_step
-        driven = np.rint(steps) * self._force_step
-        if driven @ driven > self.force_limit**2:  # rounded up over the limit
-            driven = np.trunc(steps) * self._force_step
-        return driven
+        part = most / size if size > most else 1.0
+        steps = part * x / step, part * y / step, part * z / step
+        driven = [round(n) * step for n in steps]
+        if hypot(*driven) > most:  # rounded up over the limit
+            driven = [trunc(n) * step for n in steps]
+        return np.array(driven)
