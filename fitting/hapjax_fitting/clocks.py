@@ -25,6 +25,9 @@ _SAMPLES = 400  # moments that are looked at
 _BETTER, _SURE, _CLOSE = 0.4, 0.15, 4.0
 # Of a recording's length: a shift beyond it must bring them down to so much, as chance has many to choose from.
 _WIDE, _WIDE_BETTER = 0.25, 0.08
+# By how much a clock may run fast or slow, over how many s at the beginning that is looked at, and how much less of the
+# squares it must leave than a shift.
+_FASTEST, _EARLY, _THAN_SHIFTED = 0.06, 60.0, 0.5
 _ENOUGH = 0.2  # of the moments
 _CHANCE = 40.0  # times what one shift saves by chance (its standard error, squared)
 _HAZY = 1.5  # times what noise comes to where poses count: so well is that known
@@ -59,36 +62,35 @@ def beside(recording: Recording) -> tuple[Recording, list[Finding]]:
 
 
 def clock_of(evidence: Evidence, suspects: Sequence[Stuck] = ()) -> tuple[Evidence, list[Finding]]:
-    """The evidence with clocks that agree, and by how much one was shifted; axes that look stuck say nothing of it.
+    """The evidence with clocks that agree, and by how much one was shifted, or ran fast or slow; axes that look stuck say
+    nothing of it.
 
     The forces are compared with those that the fingers' depths give, at all shifts of the channel's clock; the force of a
     surface is a combination of its depth and of depth times its rate (Hunt and Crossley 1975), with the best coefficients.
     """
-    force, hip_t = evidence.force, evidence.recording.hip_t
-    assert force is not None and hip_t is not None
-    few = slice(None, None, -(-len(force) // _SAMPLES))
-    thin = replace(_smoothed(evidence), times=evidence.times[few], force=force[few])
+    hip_t = evidence.recording.hip_t
+    assert hip_t is not None
+    thin = _thinned(evidence, np.inf)
     used = _free_of(thin, suspects)
-    count = int(used.sum())
-    now = _unexplained(thin, used, np.zeros(1), (1.0, 1.0))[0]
+    count, level = int(used.sum()), np.ones(1)
+    now = _unexplained(thin, used, np.zeros(1), (1.0, 1.0), level)[0]
     before = float(np.sum(now**2))
     fixed = evidence.places.fixed.all()
-    if before <= (1 + _CHANCE / count if fixed else _HAZY) * count * thin.blur**2:
+    explained = (1 + _CHANCE / count if fixed else _HAZY) * count * thin.blur**2
+    if before <= explained:
         return evidence, []  # there is nothing to explain
     length = float(hip_t[-1] - hip_t[0])
     mesh = any(isinstance(o.shape, Mesh) for o in evidence.scene.object.values())
     far = min(_FAR_ON_MESHES if mesh else _FAR, _PART * length)
-    channels = {"force": (1.0, 1.0)}  # how its shift moves hip and pose against it
-    if not fixed:
-        channels |= {"hip": (-1.0, 0.0), "pose": (0.0, -1.0)}
-    found = {
-        name: best_shift(partial(_unexplained, thin, used, moved=m), far) for name, m in channels.items()
-    }
-    name = min(found, key=lambda name: found[name][1])
-    lag, cost = found[name]
-    less = _unexplained(thin, used, np.array([lag]), channels[name])[0]
+    name, lag, cost = _best(thin, used, far, level)
+    moved = _channels(evidence)[name]
+    less = _unexplained(thin, used, np.array([lag]), moved, level)[0]
     least = max(_LEAST if fixed else _LEAST_OF_POSES, 2 * length / len(hip_t))
     how = how_shifted(lag, now, less, thin.blur, count, far, length) if abs(lag) >= least else None
+    if cost > explained:
+        drifting = _drifting(evidence, suspects, least, 0.0 if how is None else lag, moved)
+        if drifting is not None:
+            return drifting
     if how is None:
         return evidence, []
     sentence = (
@@ -96,9 +98,73 @@ def clock_of(evidence: Evidence, suspects: Sequence[Stuck] = ()) -> tuple[Eviden
         "of what the fingers' depths do not explain of the force is left"
     )
     finding = Finding(name, "shifted clock", sentence)
-    moved = channels[name]
-    places = evidence.shifted(np.array([moved[0] * lag]), np.array([moved[1] * lag]))
-    return replace(evidence, places=places), [finding]
+    return _put_right(evidence, np.full(len(evidence.times), lag), moved), [finding]
+
+
+def _put_right(evidence: Evidence, lags: Float[np.ndarray, " N"], moved: tuple[float, float]) -> Evidence:
+    """The evidence with a clock that was late by lags (s), and its moments by the clock of hip."""
+    places = evidence.shifted(moved[0] * lags[None], moved[1] * lags[None])
+    return replace(evidence, places=places, times=evidence.times - moved[0] * lags)
+
+
+def _channels(evidence: Evidence) -> dict[str, tuple[float, float]]:
+    """The channels of which a clock may be wrong, and how a shift of each moves hip and pose against the force."""
+    channels = {"force": (1.0, 1.0)}
+    return channels if evidence.places.fixed.all() else channels | {"hip": (-1.0, 0.0), "pose": (0.0, -1.0)}
+
+
+def _best(
+    evidence: Evidence, used: np.ndarray, far: float, course: Float[np.ndarray, " _"]
+) -> tuple[str, float, float]:
+    """The channel and the shift (s) that explain the forces best, and the squares (N^2) that are left."""
+    found = {
+        name: best_shift(partial(_unexplained, evidence, used, moved=moved, course=course), far)
+        for name, moved in _channels(evidence).items()
+    }
+    name = min(found, key=lambda name: found[name][1])
+    return name, *found[name]
+
+
+def _drifting(
+    evidence: Evidence, suspects: Sequence[Stuck], least: float, lag: float, how: tuple[float, float]
+) -> tuple[Evidence, list[Finding]] | None:
+    """The evidence with a clock that ran fast or slow put right, from the recording's beginning on, where it has to be.
+
+    **Arguments:** `least`, the smallest shift at the end (s) that is told; the `lag` of the best shift of all (s), and `how`
+    it moves hip and pose: what it leaves is to be beaten by far.
+    """
+    begin = float(evidence.times[0])
+    thin = _thinned(evidence, begin + _EARLY)
+    used, length = _free_of(thin, suspects), float(thin.times[-1]) - begin
+    if length <= 0:
+        return None
+    course = (thin.times - begin) / length
+    now, shifted = (_unexplained(thin, used, np.array([x]), how, np.ones(1))[0] for x in (0.0, lag))
+    name, late, cost = _best(thin, used, _FASTEST * length, course)
+    moved, count = _channels(evidence)[name], int(used.sum())
+    less = _unexplained(thin, used, np.array([late]), moved, course)[0]
+    told = how_shifted(late, now, less, thin.blur, count, _FASTEST * length, length)
+    noise = min(thin.blur**2 * count, cost)
+    if abs(late) < least or told is None or not told[0].isdigit():
+        return None
+    if cost - noise > _THAN_SHIFTED * (float(np.sum(shifted**2)) - noise):
+        return None
+    # Lags are told against the force's own time: one that is late by b t at t ran 1 / (1 - b) times as fast.
+    rate = late / (length - late) if name == "force" else late / length
+    sentence = (
+        f"the clock of {name} runs about {abs(rate):.1%} {'fast' if rate > 0 else 'slow'} against the others: with that "
+        f"undone, only {cost / float(np.sum(now**2)):.1%} of what the fingers' depths do not explain of the force is left"
+    )
+    put_right = _put_right(evidence, late / length * (evidence.times - begin), moved)
+    return put_right, [Finding(name, "clock rate", sentence)]
+
+
+def _thinned(evidence: Evidence, until: float) -> Evidence:
+    """A few moments up to a time, with poses of which rates can be told."""
+    assert evidence.force is not None
+    early = np.flatnonzero(evidence.times <= until)
+    few = early[:: -(-len(early) // _SAMPLES)]
+    return replace(_smoothed(evidence), times=evidence.times[few], force=evidence.force[few])
 
 
 def how_shifted(
@@ -178,12 +244,18 @@ def best_shift(
 
 
 def _unexplained(
-    evidence: Evidence, used: np.ndarray, lags: np.ndarray, moved: tuple[float, float]
+    evidence: Evidence,
+    used: np.ndarray,
+    lags: np.ndarray,
+    moved: tuple[float, float],
+    course: Float[np.ndarray, " _"],
 ) -> np.ndarray:
-    """The parts (L, N F) N of the normal forces that are not explained at each shift (L,) s."""
+    """The parts (L, N F) N of the normal forces that are not explained at each shift (L,) s, which takes a course (N,): 1
+    where it is always the same."""
     tick = _TICK if evidence.places.fixed.all() else _LONG_TICK
-    places = evidence.shifted(moved[0] * lags, moved[1] * lags, tick)
     assert evidence.force is not None
+    whole = lags[:, None] * np.broadcast_to(course, len(evidence.force))
+    places = evidence.shifted(moved[0] * whole, moved[1] * whole, tick)
     shape = (len(lags), *evidence.force.shape)
     touching = (places.depth > 0).reshape(shape[:3])
     depth, rate = (np.where(touching, x.reshape(shape[:3]), 0) for x in (places.depth, places.rate))

@@ -89,9 +89,9 @@ class Evidence:
         return np.einsum("nfji,nfj->nfi", self.places.turn, self.force)
 
     def shifted(self, hip: np.ndarray, pose: np.ndarray, tick: float | None = None) -> Places:
-        """Where the fingers were, with the clocks of `hip` and `pose` moved: lags (L,) s, stacked to L N moments; with
+        """Where the fingers were, with the clocks of `hip` and `pose` moved: lags (L, N) s, stacked to L N moments; with
         rates, from as many s as `tick` before to as many after, where it is given."""
-        of_hip, of_pose = ((self.times - lags[:, None]).ravel() for lags in (hip, pose))
+        of_hip, of_pose = ((self.times - lags).ravel() for lags in (hip, pose))
         return _places(self.scene, self.recording, of_hip, of_pose, tick)
 
 
