@@ -78,8 +78,8 @@ def _drawn_apart(total: float) -> Iterator[Advance]:
 
 def _draw(total: float) -> None:
     """Show what comes on stdin until it ends."""
+    print(flush=True)
     with following(total) as advance:
-        print(flush=True)
         for line in sys.stdin:
             steps, _, doing = line.rstrip("\n").partition(" ")
             advance(doing, float(steps))
