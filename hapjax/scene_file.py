@@ -33,7 +33,7 @@ def load_scene(path: str | os.PathLike) -> Scene:
     """
     path = Path(path)
     with within(f"{path}: "):
-        return scene_from_dict(_read(path), path.parent)
+        return scene_from_dict(scene_text.read(path), path.parent)
 
 
 def save_scene(scene: Scene, path: str | os.PathLike) -> None:
@@ -84,17 +84,6 @@ def scene_to_dict(scene: Scene, folder: Path | None = None) -> dict[str, Any]:
     table["world"] = _fields(scene.world)
     table["integrator"] = {"method": _name_of(METHODS, scene.integrator), **_fields(scene.integrator)}
     return table
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as file:
-            data = file.read(scene_text.LARGEST + 1)
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror}); allowed: a scene file in TOML") from None
-    except ValueError:
-        raise InputError("is no name of a file; allowed: a scene file in TOML") from None
-    return scene_text.tables(data)
 
 
 def _object(name: str, table: Any, folder: Path | None) -> Object:

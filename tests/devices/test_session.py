@@ -143,6 +143,7 @@ def test_devices_are_virtual_unless_told_otherwise(places):
 BAD_FILES = {
     "": ["0 devices", "1 to 5"],
     "[[device]]\ntype = 'virtual'\n" * 6: ["6 devices", "1 to 5"],
+    "a" + ".a" * 200_000 + " = 1": ["devices.toml: line 1 has 200000 dots", "16 or fewer"],
     "[[device]]\ntype = 'wand'": ["device[0].type is 'wand'", "virtual, browser, falcon, inverse3"],
     "[[device]]\nserial = 'x'": ["device[0].type is None"],
     "[[device]]\ntype = 'virtual'\nserial = 'x'": ["device[0].serial is not known of a virtual"],

@@ -1,6 +1,5 @@
 """Which devices a session is to have: from options, or from a file in TOML."""
 
-import tomllib
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hapjax import InputError, Scene
+from hapjax import InputError, Scene, scene_text
 from hapjax.errors import within
 from hapjax.recording import Recording
 
@@ -121,12 +120,7 @@ def _rest(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_file(file: Path) -> list[dict[str, Any]]:
-    try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror}); allowed: a device file in TOML") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"is not TOML: {error}; allowed: a device file in TOML") from None
+    table = scene_text.read(file, "device file")
     for key in table:
         if key != "device":
             raise InputError(f"{key} is not known; allowed: device")
