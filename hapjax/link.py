@@ -113,7 +113,9 @@ class Link(eqx.Module):
     def grip(self) -> Grip:
         """The normal forces of the step before, at the velocity of now; of points that are new here, those of now."""
         surface, velocity = self.meeting.surface, self.meeting.velocity
-        depth = jnp.where(self.before > 0, self.before, jnp.maximum(self.meeting.near.depth, 0))
+        # Not `maximum`, which has half the derivative at 0: that of neither side, where a thing is put exactly on a floor.
+        new = jnp.where(self.meeting.near.depth > 0, self.meeting.near.depth, 0)
+        depth = jnp.where(self.before > 0, self.before, new)
         spring = surface.stiffness * depth
         if surface.damping is None or velocity is None:
             return Grip(spring, spring)

@@ -84,7 +84,8 @@ def step_known(
 ) -> tuple[State, Reply]:
     """`step`, of what is `known` of a scene."""
     scene, fixed = given
-    hip = _as_hip(scene, hip)
+    # Still far beyond sense, so that the step is lost; but its squares are finite, and so are its derivatives.
+    hip = jnp.clip(_as_hip(scene, hip), -10 * SENSE, 10 * SENSE)
     gimbal = _as_gimbal(scene, gimbal, hip)
     dt = scene.integrator.dt if dt is None else jnp.asarray(dt, hip.dtype)
     turning = None if gimbal is None else (gimbal - state.gimbal) / dt

@@ -249,6 +249,22 @@ def test_gradients_are_those_of_differences(case):
     assert off.max() < 1e-5 * scale
 
 
+@pytest.mark.parametrize("damping", [None, 2.0])
+def test_from_exactly_on_the_floor_derivatives_are_those_of_one_side(damping):
+    def end(height):
+        scene = cube_on_floor(damping=damping, height=height)
+        start = moving(hapjax.init(scene, away(1)[0]), "cube", velocity=(0.1, 0, 0))
+        state = hapjax.rollout(scene, start, away(10))[0].motion["cube"]
+        return jnp.concatenate([state.position, state.velocity, state.spin])
+
+    end, z, step = jax.jit(end), jnp.array(EDGE / 2), 1e-9
+    forward, reverse = jax.jit(jax.jacfwd(end))(z), jax.jit(jax.jacrev(end))(z)
+    above, below = (end(z + step) - end(z)) / step, (end(z) - end(z - step)) / step
+    np.testing.assert_allclose(forward, reverse, atol=1e-9)
+    off = [np.abs(forward - side).max() for side in (above, below)]
+    assert min(off) < 1e-5 * np.abs(forward).max()
+
+
 def test_neither_a_step_nor_its_gradient_calls_a_library():
     """A single call, of LAPACK say, forbids the compiler to make one function of a loop of steps, many times as fast."""
     scene = cube_on_floor(height=0.0199)

@@ -46,6 +46,22 @@ def test_no_number_of_a_hip_makes_a_force_that_is_not_finite(wrong):
     assert reply.lost and not np.any(reply.force) and finite((after, reply))
 
 
+@pytest.mark.parametrize("method", ["semi_implicit", "implicit"])
+def test_the_derivatives_through_a_lost_step_are_finite(method, dtype):
+    wrong = 1e200 if dtype == "float64" else 1e38
+    hips = jnp.zeros((6, 1, 3), dtype).at[:, 0, 0].set(0.019).at[3, 0, 1].set(wrong)
+
+    def end(made, hips):
+        state, replies = hapjax.rollout(made, hapjax.init(made, hips[0]), hips)
+        return jnp.sum(replies.force) + jnp.sum(state.motion["cube"].position), replies.lost
+
+    made = scene(method, 800.0, dtype)
+    slopes, lost = jax.jit(jax.grad(end, (0, 1), has_aux=True, allow_int=True))(made, hips)
+    assert lost.tolist() == [False] * 3 + [True] + [False] * 2
+    assert finite([x for x in jax.tree.leaves(slopes) if x.dtype == dtype])
+    assert np.any(slopes[0].object["cube"].surface.stiffness)
+
+
 def test_the_packed_step_says_that_it_was_lost():
     hip = np.array([[0.019, 0.0, 0.0]])
     fine, mad = (hapjax.pack(scene("semi_implicit", k, "float64"), hip) for k in (800.0, 1e16))
