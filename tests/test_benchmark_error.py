@@ -1,6 +1,7 @@
 """The work-precision diagrams: orders, who is ahead, the command."""
 
 import csv
+import dataclasses
 import json
 from typing import Any
 
@@ -167,15 +168,26 @@ def test_which_steps_are_run_does_not_depend_on_the_machine():
 
 
 def test_why_a_side_is_ahead_is_said_by_the_orders_that_were_measured():
-    def why(ours, theirs):
-        point = {"dt": 1e-3, "error": 1e-3, "law_error": 1e-3}
+    def why(ours, theirs, dt=1e-3):
+        point = {"dt": dt, "error": 1e-3, "law_error": 1e-3}
         curves = {"implicit": {"order": ours, "points": [point]}, "MuJoCo RK4": {"order": theirs}}
-        best = {"integrator": "implicit", "dt": 1e-3}, {"integrator": "RK4", "dt": 1e-3}
+        best = {"integrator": "implicit", "dt": dt}, {"integrator": "RK4", "dt": 1e-3}
         row = {"factor": 2.0, "hapjax": best[0], "mujoco": best[1]}
         return _error_page.why({"has_law": False, "curves": curves}, row)
 
     assert why(0.97, 2.01) == "MuJoCo's RK4 converges here with order 2.0, hapjax's best with 1.0"
-    assert why(0.97, 1.02) == why(None, 4.0) == "the larger error at an equal step"
+    assert why(0.97, 1.02) == why(None, 4.0) == "its error is the larger, at 1 times MuJoCo's dt"
+    assert why(None, 4.0, 4.4e-4) == "its error is the larger, at 0.44 times MuJoCo's dt"
+    assert why(None, 4.0, 2e-3) == "a step takes longer: 2.0 times MuJoCo's dt in the same time"
+
+
+def test_a_quick_sweep_has_the_step_its_table_names_and_no_order_of_errors_that_scatter():
+    assert min(abs(dt / 1e-3 - 1) for dt in _sweep.QUICK.dts) < 1e-9
+    shorter = dataclasses.replace(_sweep.QUICK, dts=_sweep.QUICK.dts[2:6], mujoco_dts=[])
+    for name, scatters in {"restitution": True, "top": False}.items():
+        assert KNOWN[name].scatters("lie_midpoint") == scatters
+        found = error.measure([KNOWN[name]], ["lie_midpoint"], shorter, lambda *_: None)
+        assert (found["cases"][name]["curves"]["lie_midpoint"]["order"] is None) == scatters
 
 
 def points(*pairs):

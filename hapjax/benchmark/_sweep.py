@@ -72,7 +72,7 @@ class Sweep:
 
 
 FULL = Sweep([*np.logspace(-2, -6, 17)], [*np.logspace(-2, -4.5, 11)], 6, 300_000)
-QUICK = Sweep([*np.logspace(-2, -4.5, 8)], [*np.logspace(-2, -4, 5)], 0, 60_000, gradients=False)
+QUICK = Sweep([*np.logspace(-2, -13 / 3, 8)], [*np.logspace(-2, -4, 5)], 0, 60_000, gradients=False)
 
 
 def when(integrator: str) -> float:

@@ -174,9 +174,11 @@ def _case(case: Case, integrators, sweep: Sweep, missing: str | None, advance: A
         else:
             points, compile_s = _sweep.curve_of_substeps(case, name, truth, sweep)
         ours[name], order = points, case.order(name)
+        # Of errors that scatter, and of which none are averaged, a slope says little.
+        has_order = order.value is not None and (sweep.around > 0 or not case.scatters(name))
         curves[name] = {
             "compile_s": compile_s,
-            **orders(points, case, name, floor, order.value is not None),
+            **orders(points, case, name, floor, has_order),
             "theory": order.value,
             "gradient_theory": case.gradient_order(name),
             "reason": order.reason,
