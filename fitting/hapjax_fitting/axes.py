@@ -16,6 +16,9 @@ _MUS = 0.05 * 1.5 ** np.arange(11)  # up to 2.9: near one of them friction is ab
 _BETTER, _GOOD = 0.25, 0.05
 _AS_GOOD = 1.1
 _AGAINST = -0.8  # of the work that it could do: so much friction takes away where it is beyond doubt
+# Of a normal along an axis that lies in the surface; what a force's square is at least, over the noise's; the cosine
+# between what is reversed and what is expected; and the share of the work that friction along an axis never does.
+_FLAT, _HEARD, _OPPOSITE, _WITH = 0.1, 3.0, -0.8, 0.5
 # The 48 ways to put three axes in another order and to turn some of them round; those that change least come first.
 _READINGS = sorted(
     (np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1, -1), repeat=3)),
@@ -33,7 +36,7 @@ def axes_of(evidence: Evidence, so_read: bool) -> tuple[Evidence, list[Finding]]
     """
     assert evidence.force is not None
     force, found = evidence.force.copy(), []
-    if (_work(evidence) < _AGAINST).all():
+    if _is_friction(evidence):
         return evidence, []
     given = _dragged(evidence)
     for finger in range(force.shape[1]):
@@ -43,25 +46,66 @@ def axes_of(evidence: Evidence, so_read: bool) -> tuple[Evidence, list[Finding]]
             continue
         left = _unexplained(measured, given[:, felt, finger])
         enough = min(_BETTER * left[0], _GOOD * float(np.sum(measured**2)))
-        if left[0] <= 10 * measured.size * evidence.blur**2 or left.min() > enough:
-            continue
-        reading = _READINGS[int(np.argmax(left <= _AS_GOOD * left.min()))]
+        if left[0] > 10 * measured.size * evidence.blur**2 and left.min() <= enough:
+            reading = _READINGS[int(np.argmax(left <= _AS_GOOD * left.min()))]
+            rest = f"with that undone, only {left.min() / left[0]:.1%} of what its motion does not explain of it is left"
+        else:
+            # A force that does not go with its depth may be of another time.
+            depth, along = evidence.places.depth[felt, finger], evidence.along[felt, finger]
+            off = along - np.sum(along * depth) / np.sum(depth**2) * depth
+            if np.mean(off**2) > max(10 * evidence.blur**2, _BETTER * np.var(along)):
+                continue
+            signs = _signs(measured, given[:, felt, finger], evidence.normal[felt, finger], evidence.blur)
+            if (signs > 0).all():
+                continue
+            reading, rest = np.diag(signs), "along it the force mirrors what the finger's motion gives"
         force[:, finger] = force[:, finger] @ reading.T
-        found.append(_named(finger, reading, float(left.min() / left[0]), len(measured), so_read))
+        found.append(_named(finger, reading, rest, len(measured), so_read))
     return replace(evidence, force=force), found
 
 
-def _work(evidence: Evidence) -> Float[np.ndarray, " F"]:
-    """What the forces along surfaces do to each finger, over the most that they could, -1 to 1."""
+def _signs(
+    force: Float[np.ndarray, "n 3"],
+    given: Float[np.ndarray, "M n 3"],
+    normal: Float[np.ndarray, "n 3"],
+    noise: float,
+) -> Float[np.ndarray, "3"]:
+    """-1 for an axis along surfaces in which the force goes against friction all the time, with any mu and any stiffness.
+
+    That of springs that hold as well: a small part of the force may be reversed beside a large one that is not explained.
+    """
+    signs = np.ones(3)
+    for axis in range(3):
+        flat = np.abs(normal[:, axis]) < _FLAT
+        felt, like = force[flat, axis], given[:, flat, axis]
+        if np.count_nonzero(flat) < FEW or np.mean(felt**2) <= _HEARD * noise**2:
+            continue
+        # Also about its mean: a force that is only off by a constant has no share in that.
+        both = (_alike(felt, like), _alike(felt - felt.mean(), like - like.mean(axis=1, keepdims=True)))
+        if max(alike[np.argmax(np.abs(alike))] for alike in both) < _OPPOSITE:
+            signs[axis] = -1
+    return signs
+
+
+def _alike(force: Float[np.ndarray, " n"], given: Float[np.ndarray, "M n"]) -> Float[np.ndarray, " M"]:
+    """The cosines between a force and others."""
+    sizes = np.linalg.norm(given, axis=1) * np.linalg.norm(force)
+    return given @ force / np.maximum(sizes, 1e-300)
+
+
+def _is_friction(evidence: Evidence) -> bool:
+    """Whether the forces along surfaces do work against all that fingers do, and along no axis for it."""
     normal = evidence.places.normal
 
     def along(vectors: np.ndarray) -> np.ndarray:
         tangential = vectors - np.sum(vectors * normal, axis=-1, keepdims=True) * normal
+        tangential = np.einsum("nfij,nfj->nfi", evidence.places.turn, tangential)
         return np.where(evidence.touching[..., None], tangential, 0)
 
     force, way = along(evidence.local()), along(_steps(evidence.places.point))
-    most = np.sum(np.linalg.norm(force, axis=-1) * np.linalg.norm(way, axis=-1), axis=0)
-    return np.sum(force * way, axis=(0, 2)) / np.maximum(most, 1e-300)
+    work, most = np.sum(force * way, axis=0), np.sum(np.abs(force * way), axis=0)
+    whole = np.sum(np.linalg.norm(force, axis=-1) * np.linalg.norm(way, axis=-1), axis=0)
+    return bool((work.sum(axis=-1) < _AGAINST * whole).all() and (work <= _WITH * most).all())
 
 
 def _steps(point: np.ndarray) -> np.ndarray:
@@ -97,20 +141,19 @@ def _dragged(evidence: Evidence) -> Float[np.ndarray, "M N F 3"]:
     return np.einsum("nfij,mnfj->mnfi", places.turn, local)
 
 
-def _named(finger: int, reading: np.ndarray, left: float, count: int, so_read: bool) -> Finding:
-    """What a reading is called."""
-    rest = f"only {left:.1%} of what its motion does not explain of it is left"
+def _named(finger: int, reading: np.ndarray, rest: str, count: int, so_read: bool) -> Finding:
+    """What a reading is called, and the rest of what is said of it."""
     begin = "so read, " if so_read else ""
     if (reading == np.diag(np.diag(reading))).all():
         wrong = " and ".join(AXES[i] for i in range(3) if reading[i, i] < 0)
         sentence = (
             f"{begin}{wrong} of the force of finger {finger} {'points' if len(wrong) == 1 else 'point'} the way in which "
-            f"its friction cannot: the sign looks reversed; with that undone, {rest}"
+            f"its friction cannot: the sign looks reversed; {rest}"
         )
         return Finding("force", "force sign", sentence, count=count)
     names = [f"{'-' if row.min() < 0 else ''}{AXES[int(np.abs(row).argmax())]}" for row in reading]
     sentence = (
         f"{begin}the axes of the force of finger {finger} look exchanged: with its {', '.join(names)} read as the world's "
-        f"x, y, z, {rest}"
+        f"x, y, z: {rest}"
     )
     return Finding("force", "force axes", sentence, count=count)

@@ -207,6 +207,11 @@ CUBE_LIES = {
         ("clock rate", "pose"),
         "% slow",
     ),
+    "z of one force reversed, along which it holds": (
+        lambda r: replace(r, force=r.force * [[[1.0, 1.0, -1.0], [1.0] * 3]]),
+        ("force sign", "force"),
+        "z of the force of finger 0 points",
+    ),
     "late poses": (lambda r: replace(r, pose_t=r.pose_t + 0.03), ("shifted clock", "pose"), "pose is"),
     "late fingers": (lambda r: replace(r, hip_t=r.hip_t + 0.03), ("shifted clock", "hip"), "hip is"),
 }
@@ -229,6 +234,19 @@ def test_each_lie_of_a_grasp_is_named(lie, seed):
     kinds, said = found(tell(in_hand(seed)))
     assert kinds == {kind}, said
     assert words in said, said
+
+
+@pytest.mark.parametrize(("axis", "surface"), [(1, {"mu": 0.1}), (0, {"mu": 0.05, "damping": 5.0})])
+def test_an_axis_is_named_along_which_little_is_felt(axis, surface):
+    """Where friction is small beside what damps the normal force, or small along that axis."""
+    t, path, _ = strokes()
+    path = path + 0.3 * (path[..., :1] - path[0, :, :1]) * [0.0, 1.0, 0.0]
+    force = forces(floor(**surface), path) + 0.01 * np.random.default_rng(0).standard_normal(path.shape)
+    recording = Recording(hip=path, hip_t=t, force=force, force_t=t)
+    assert found(recording, floor()) == (set(), "")
+    kinds, said = found(replace(recording, force=force * np.where(np.arange(3) == axis, -1.0, 1.0)), floor())
+    assert kinds == {("force sign", "force")}
+    assert f"{'xy'[axis]} of the force of finger 0 points" in said, said
 
 
 def pushed_block(mu=0.5):
