@@ -29,6 +29,7 @@ _WIDE, _WIDE_BETTER = 0.25, 0.08
 # squares it must leave than a shift.
 _FASTEST, _EARLY, _THAN_SHIFTED = 0.06, 60.0, 0.5
 _ENOUGH = 0.2  # of the moments
+_SCATTER = 5.0  # times what chance makes of so many squares of noise, and of its size where that was estimated from them
 _CHANCE = 40.0  # times what one shift saves by chance (its standard error, squared)
 _HAZY = 1.5  # times what noise comes to where poses count: so well is that known
 _LEAST, _LEAST_OF_POSES = 2e-3, 6e-3  # s, and where noisy poses count: rates are not well known there
@@ -87,7 +88,7 @@ def clock_of(evidence: Evidence, suspects: Sequence[Stuck] = ()) -> tuple[Eviden
     less = _unexplained(thin, used, np.array([lag]), moved, level)[0]
     least = max(_LEAST if fixed else _LEAST_OF_POSES, 2 * length / len(hip_t))
     how = how_shifted(lag, now, less, thin.blur, count, far, length) if abs(lag) >= least else None
-    if cost > explained:
+    if cost > explained + _SCATTER * np.sqrt(count) * thin.blur**2:
         drifting = _drifting(evidence, suspects, least, 0.0 if how is None else lag, moved)
         if drifting is not None:
             return drifting

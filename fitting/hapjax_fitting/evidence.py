@@ -43,8 +43,9 @@ class Places:
 class Evidence:
     """A recording's moments of measured force, or of positions where no force was: N moments, F fingers.
 
-    `force` (N, F, 3) N, world; `noise`, its standard deviation in N; `whole`: every object that can be touched is known
-    by its place; `blur`, what the noise of force and of poses comes to in a force that is told by a depth, N.
+    `force` (N, F, 3) N, world; `noise`, its standard deviation in N; `names`, of the objects that can be touched those that
+    are known by their places, `whole`: all of them; `blur`, what the noise of force and of poses comes to in a force that is
+    told by a depth, N.
     """
 
     scene: Scene
@@ -54,6 +55,7 @@ class Evidence:
     noise: float
     blur: float
     whole: bool
+    names: list[str]
     places: Places
 
     @property
@@ -92,7 +94,7 @@ class Evidence:
         """Where the fingers were, with the clocks of `hip` and `pose` moved: lags (L, N) s, stacked to L N moments; with
         rates, from as many s as `tick` before to as many after, where it is given."""
         of_hip, of_pose = ((self.times - lags).ravel() for lags in (hip, pose))
-        return _places(self.scene, self.recording, of_hip, of_pose, tick)
+        return _places(self.scene, self.recording, self.names, of_hip, of_pose, tick)
 
 
 def evidence_of(scene: Scene, recording: Recording, most: int = _MOST) -> Evidence | None:
@@ -110,9 +112,9 @@ def evidence_of(scene: Scene, recording: Recording, most: int = _MOST) -> Eviden
     times, force = times[::every], None if force is None else force[::every]
     if not len(times):
         return None
-    places = _places(scene, recording, times, times)
+    places = _places(scene, recording, names, times, times)
     noise, blur = (0.0, 0.0) if force is None else _noise(scene, recording, force, places)
-    return Evidence(scene, recording, times, force, noise, blur, whole, places)
+    return Evidence(scene, recording, times, force, noise, blur, whole, names, places)
 
 
 def _noise(scene: Scene, recording: Recording, force: np.ndarray, places: Places) -> tuple[float, float]:
@@ -153,12 +155,13 @@ def _known(scene: Scene, recording: Recording) -> tuple[list[str], bool]:
 def _places(
     scene: Scene,
     recording: Recording,
+    names: list[str],
     hip_times: np.ndarray,
     pose_times: np.ndarray,
     tick: float | None = None,
 ) -> Places:
     best = None
-    for which, name in enumerate(_known(scene, recording)[0]):
+    for which, name in enumerate(names):
         point, turn = _seen_from(scene, recording, name, hip_times, pose_times)
         shape = point.shape[:2]
         flat, normal = closest(scene.object[name].shape, point.reshape(-1, 3), scene.integrator.dt.dtype)

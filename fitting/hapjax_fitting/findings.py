@@ -83,10 +83,11 @@ def lies(scene: Scene, recording: Recording, friction: bool = True) -> list[Find
 def _undone(recording: Recording, sensors: Sensors) -> Recording:
     """What was recorded, as perfect sensors would have."""
     changed: dict[str, Any] = {}
-    if recording.hip is not None:
+    if recording.hip is not None and sensors.hip_rotation is not None:
         changed["hip"] = np.asarray(sensors.turned(jnp.asarray(recording.hip)))
     if recording.force is not None and recording.force_t is not None:
-        changed["force"] = np.asarray(sensors.corrected(jnp.asarray(recording.force)))
+        if sensors.force_bias is not None or sensors.force_gain is not None:
+            changed["force"] = np.asarray(sensors.corrected(jnp.asarray(recording.force)))
         changed["force_t"] = recording.force_t - float(sensors.force_delay or 0)
     if recording.pose_t is not None:
         changed["pose_t"] = recording.pose_t - float(sensors.pose_delay or 0)
