@@ -1,17 +1,20 @@
 """Files that are written whole or not at all."""
 
+import errno
 import json
 import math
 import os
 import secrets
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
 from .errors import InputError
+
+_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EIO}  # of the system, whatever was asked for
 
 
 @contextmanager
@@ -25,7 +28,8 @@ def replacing(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]
     - `path`: the file to write; its folder must exist.
     - `mode`: `"w"` for UTF-8 text, lines ended as they are written; `"wb"` for bytes.
 
-    **Raises:** `hapjax.InputError` if the folder does not exist, or the file cannot be written.
+    **Raises:** `hapjax.InputError` if the folder does not exist, or the file cannot be written; `OSError` where the disk is
+    full or fails.
     """
     target = check_writable(path)
     # In the same folder, because only within one file system is the replacement one step.
@@ -40,6 +44,8 @@ def replacing(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]
             shutil.copymode(target, temporary)
         os.replace(temporary, target)
     except OSError as error:
+        if error.errno in _DISK:
+            raise OSError(error.errno, f"cannot be written: {error.strerror}", os.fspath(path)) from error
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
         with suppress(OSError):
@@ -80,6 +86,30 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
     if not os.access(target.parent, os.W_OK):
         raise InputError(f"{path}: cannot be written: the folder {target.parent} is read-only")
     return target
+
+
+def check_apart(
+    writes: Iterable[str | os.PathLike[str] | None], reads: Iterable[str | os.PathLike[str] | None]
+) -> None:
+    """Refuse a file to write that is one of those to read, or another of those to write: one of the two would be lost.
+
+    `None` stands for none. **Raises:** `hapjax.InputError`.
+    """
+    taken = {_place(path) for path in reads if path is not None}
+    for path in writes:
+        if path is None:
+            continue
+        if _place(path) in taken:
+            raise InputError(
+                f"{path}: would take the place of another file of this command; allowed: a new name"
+            )
+        taken.add(_place(path))
+
+
+def _place(path: str | os.PathLike[str]) -> str:
+    with suppress(OSError, ValueError):
+        return os.path.realpath(path)
+    return os.fspath(path)  # no name of a file, as who reads or writes it will say
 
 
 def check_makeable(folder: str | os.PathLike[str]) -> None:

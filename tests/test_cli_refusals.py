@@ -219,6 +219,27 @@ ARGUMENTS = [
         ["no"],
     ),
     (["fit", "{force}", "--scene", "{scene}", "--free", "object.cube.surface.mu"], ["force.npz", "hip"]),
+    (
+        ["fit", "{both}", "{both}", "--scene", "{scene}", "--free", "torsion.critical_area"],
+        ["both.npz", "twice"],
+    ),
+    *(
+        (
+            ["fit", "{both}", "--scene", "{scene}", "--free", "torsion.critical_area", "--json", file],
+            [file, "another file of this command"],
+        )
+        for file in ("{both}", "{scene}")
+    ),
+    (["simulate", "{scene}", "--hip", "{hip}", "--out", "{hip}"], ["hip.npz", "another file"]),
+    (["benchmark", "latency", "--scene", "{scene}", "--json", "{scene}"], ["scene.toml", "another file"]),
+    (["run", "{scene}", "--record", "{folder}/r.mcap", "--json", "{folder}/r.mcap"], ["r.mcap", "another"]),
+    (["export", "{scene}", "--to", "mjcf", "--out", "{scene}"], ["scene.toml", "another file"]),
+    (
+        ["export", "{scene}", "--to", "mjcf", "--out", "{folder}/m.xml", "--json", "{folder}/m.xml"],
+        ["m.xml", "another file"],
+    ),
+    (["import", "{scene}", "--out", "{scene}"], ["scene.toml", "another file"]),
+    (["recover", "{hip}", "--out", "{folder}/w.mcap", "--json", "{hip}"], ["hip.npz", "another file"]),
     (["benchmark"], ["missing"]),
     (["benchmark", "speed"], ["speed", "latency"]),
     (["benchmark", "latency", "--fingers", "0"], ["fingers", "1 to 100"]),

@@ -156,9 +156,11 @@ def _warnings(result: FitResult) -> list[str]:
     if result.lost:
         dropped = ", ".join(f"{_count(n, 'sample')} of {name}" for name, n in result.lost.items())
         found.append(f"The model left the range of sense; dropped were {dropped}.")
+    # Where a loss leaves outliers out, so does what is said of the residuals.
+    explained = not any(finding.kind == "misfit" for finding in result.findings)
     sizes = {key: result.residual_rms["pose" if key == "position" else key] for key in result.noise}
     large = {key: rms / result.noise[key] for key, rms in sizes.items() if rms > 2 * result.noise[key]}
-    if large:
+    if large and not explained:
         times = ", ".join(f"{key} {ratio:.1f} times" for key, ratio in large.items())
         found.append(
             f"The residuals are larger than the noise ({times}): the model as fitted does not explain the "

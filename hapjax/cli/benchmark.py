@@ -8,7 +8,7 @@ import jax
 from tyro.conf import FlagCreatePairsOff, Positional
 
 from ..extras import need
-from ..files import check_writable
+from ..files import check_apart, check_writable
 from ..scene_file import load_scene
 
 
@@ -65,6 +65,7 @@ def benchmark(
     defaults = {name: each.default for name, each in inspect.signature(benchmark).parameters.items()}
     given = {name: value for name, value in options.items() if value != defaults[name]}
     _options.check_options(kind, scene is not None, given)
+    check_apart([json], [scene, hip])
     if json is not None:
         check_writable(json)
     if kind == "latency":

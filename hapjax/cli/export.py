@@ -9,7 +9,7 @@ from tyro.conf import Positional
 
 from ..errors import InputError
 from ..exchange import save_mjcf, save_urdf
-from ..files import check_writable, write_json
+from ..files import check_apart, check_writable, write_json
 from ..scene_file import load_scene
 
 
@@ -34,8 +34,7 @@ def export(
         json: File for what was written and what was left out.
     """
     target = scene.with_suffix(".xml" if to == "mjcf" else ".urdf") if out is None else out
-    if target.resolve() == scene.resolve():
-        raise InputError(f"{target}: is the scene; allowed: another file")
+    check_apart([target, json], [scene])
     if json is not None:
         check_writable(json)
     with jax.enable_x64(True):

@@ -9,7 +9,7 @@ from tyro.conf import FlagCreatePairsOff, Positional
 
 from ..errors import InputError
 from ..extras import need
-from ..files import check_makeable, check_writable
+from ..files import check_apart, check_makeable, check_writable
 from ..processes import agreed, together
 from ..recording import load_recording
 from ..recording.ros_topics import parsed
@@ -73,9 +73,11 @@ def fit(
         process: I N HOST:PORT, to share it outside such a job: this is process I of N, which meet where process 0 runs.
     """
     fitting, topics = need("hapjax_fitting", "fitting"), parsed(topic)
+    _check_once(recordings)
     with jax.enable_x64(True), together(distributed, process):
         first = jax.process_index() == 0
         json, report = (json, report) if first else (None, None)
+        check_apart([json], [scene, *recordings])
         if json is not None:
             check_writable(json)
         if report is not None:
@@ -127,6 +129,15 @@ def fit(
     if refused is not None:
         raise refused
     return 130 if stopped else 0
+
+
+def _check_once(recordings: tuple[Path, ...]) -> None:
+    """Refuse a recording that is named twice: what it says would count twice. **Raises:** `InputError`."""
+    seen: set[Path] = set()
+    for path in recordings:
+        if path.resolve() in seen:
+            raise InputError(f"{path}: is named twice; allowed: each recording once")
+        seen.add(path.resolve())
 
 
 def _asked(fitting, result, profile: tuple[str, ...], posterior: int | None, seed: int, suggest: bool):

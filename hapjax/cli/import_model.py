@@ -7,7 +7,7 @@ from tyro.conf import FlagCreatePairsOff, Positional
 
 from ..errors import InputError
 from ..exchange import load_model
-from ..files import check_writable, write_json
+from ..files import check_apart, check_writable, write_json
 from ..scene_file import save_scene
 
 
@@ -26,6 +26,7 @@ def import_model(
     """
     if out.suffix != ".toml":  # so that neither the model nor a mesh is overwritten
         raise InputError(f"{out}: has the ending {out.suffix!r}; allowed: .toml")
+    check_apart([out, json], [model])
     for file in (out, json):
         if file is not None:
             check_writable(file)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from ..files import check_writable, write_json
+from ..files import check_apart, check_writable, write_json
 from ..progress import following
 
 
@@ -22,6 +22,7 @@ def recover(recording: Positional[Path], *, out: Path | None = None, json: Path 
     from ..recording.recovering import recover as recovering
 
     target = recording.with_name(f"{recording.stem}-recovered.mcap") if out is None else out
+    check_apart([json], [recording, target])
     if json is not None:
         check_writable(json)
     with following(1.0) as advance:

@@ -7,6 +7,7 @@ from tyro.conf import FlagCreatePairsOff, Positional
 
 from ..errors import InputError
 from ..extras import need
+from ..files import check_apart
 from ..scene_file import load_scene
 from ..tuning.settings import Tuning, tuned_by_default
 
@@ -70,6 +71,7 @@ def run(
         json: File for the figures.
     """
     session, tuning = need("hapjax_devices.session", "devices"), None
+    check_apart([record, json], [scene, hip, devices, truth])
     if tune:
         need("hapjax_fitting", "fitting")
         if truth is None:

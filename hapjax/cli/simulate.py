@@ -9,6 +9,7 @@ import numpy as np
 from tyro.conf import Positional
 
 from ..errors import within
+from ..files import check_apart
 from ..progress import following
 from ..recording import Recording, load_recording
 from ..recording.ros_topics import parsed
@@ -32,6 +33,7 @@ def simulate(scene: Positional[Path], *, hip: Path, out: Path, topic: tuple[str,
         topic: Of a ROS 2 bag: the topics of hip, one a finger, such as hip=/left/tip,/right/tip.
     """
     topics = parsed(topic)
+    check_apart([out], [scene, hip])
     Recording.check_writable(out)
     with jax.enable_x64(True):
         loaded = load_scene(scene)
