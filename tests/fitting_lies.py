@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 from fitting_cases import floor, forces, held_cube, shaken_cube, stroke
-from hapjax import Recording, Scene, cast
+from hapjax import Recording, Scene, cast, init, rollout
 from hapjax_fitting.benchmark.cases import CASES
 from hapjax_fitting.findings import lies
 
@@ -51,3 +51,20 @@ def four_fingers() -> tuple[Scene, Recording]:
 
 def late(recording, by):
     return replace(recording, force_t=recording.force_t + by)
+
+
+@cache
+def lifted(seed=0, steps=1000) -> Recording:
+    """A cube that two fingers, which press alike, lift slowly and move about; without noise of the force."""
+    random, t = np.random.default_rng(seed), 1e-3 * np.arange(steps)
+    phase, starts = random.uniform(0, 6.28, 4), np.clip(3 * (t - 0.3), 0, 1)
+    squeeze = np.interp(t, [0, 0.15], [0.032, 0.026]) + 6e-4 * np.sin(9 * t + phase[0]) * (t > 0.15)
+    up = 0.02 * np.clip((t - 0.3) / 0.5, 0, 1)
+    x, y = (a * np.sin(w * t + p) * starts for a, w, p in ((0.012, 5, phase[2]), (0.008, 7, phase[3])))
+    ends = [np.stack([side * squeeze + x, y, 0.03 + up], axis=-1) for side in (-1, 0.97)]
+    path, scene = np.stack(ends, axis=1), held_cube()
+    _, reply = rollout(scene, init(scene, path[0]), path)
+    pose = np.asarray(reply.pose)[4::5].copy()
+    pose[..., :3] += 1e-4 * random.standard_normal(pose[..., :3].shape)
+    force = np.asarray(reply.force)
+    return Recording(hip=path, hip_t=t, force=force, force_t=t, pose=pose, pose_t=t[4::5] + 1e-3)

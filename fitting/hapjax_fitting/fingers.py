@@ -7,9 +7,11 @@ from scipy.optimize import linear_sum_assignment
 
 from hapjax import Finding
 
-from .evidence import Evidence
+from .evidence import Evidence, at
+from .held import SURE, carried
 
 _BETTER = 0.25  # of the squares that are not explained: what another reading must come down to
+_CLEAR = 0.5  # of the squares that another good reading leaves: what the better of the two must come down to
 _STEEP = 2.0  # hardly a mu is larger: beyond it a force does not belong to its surface
 
 
@@ -32,12 +34,33 @@ def fingers_of(evidence: Evidence) -> tuple[Evidence, list[Finding]]:
     signs = cost.argmin(-1)
     straight = float(cost.min(-1)[fingers, fingers].sum())
     crossed = linear_sum_assignment(cost[..., 0])[1]  # signs are not turned too: two faults at once are rare
-    if np.sum(cost[fingers, crossed, 0]) < _BETTER * min(straight, as_is):
-        return _crossed(evidence, crossed, np.sum(cost[fingers, crossed, 0]) / as_is)
+    dealt = float(np.sum(cost[fingers, crossed, 0]))
     wrong = fingers[signs[fingers, fingers] == 1]
+    swapped, known = dealt < _BETTER * min(straight, as_is), True
+    if not swapped and max(dealt, straight) < _BETTER * as_is:
+        swapped, known = _swapped(evidence, dealt, straight, len(wrong) == len(fingers))
+    if swapped:
+        return _crossed(evidence, crossed, dealt / as_is, known)
     if len(wrong) and straight < _BETTER * as_is:
         return _reversed(evidence, wrong)
     return evidence, []
+
+
+def _swapped(evidence: Evidence, dealt: float, straight: float, every: bool) -> tuple[bool, bool]:
+    """Whether forces are swapped where other signs explain them as well, and whether that is known: fingers that hold
+    something press about alike. The better reading, where it is by far; else the one in which they carry what they hold.
+
+    **Arguments:** the squares (N^2) that forces `dealt` out to other fingers leave, and with other signs `straight`, of
+    `every` finger.
+    """
+    if min(dealt, straight) < _CLEAR * max(dealt, straight) or not every:
+        return dealt < straight, True
+    assert evidence.force is not None and evidence.recording.hip is not None
+    hip = at(evidence.times, evidence.recording.hip_t, evidence.recording.hip)
+    held = (evidence.touching & ~evidence.places.fixed).sum(axis=1) > 1
+    mass, error = carried(evidence.scene, evidence.times, hip, evidence.force, held)
+    known = abs(mass) > SURE * error
+    return mass > 0 if known else dealt < straight, known
 
 
 def unexplained(evidence: Evidence, finger: int, force: np.ndarray) -> float:
@@ -53,12 +76,15 @@ def unexplained(evidence: Evidence, finger: int, force: np.ndarray) -> float:
     return float(np.sum(np.where(touching, (along - stiffness * inside) ** 2 + steep**2, square)))
 
 
-def _crossed(evidence: Evidence, crossed: np.ndarray, left: float) -> tuple[Evidence, list[Finding]]:
+def _crossed(
+    evidence: Evidence, crossed: np.ndarray, left: float, known: bool
+) -> tuple[Evidence, list[Finding]]:
     assert evidence.force is not None
+    other = "" if known else ", or all forces reversed"
     pairs = ", ".join(f"force {j} to finger {i}" for i, j in enumerate(crossed) if i != j)
     sentence = (
-        f"fingers look swapped between hip and force: with {pairs}, only {left:.1%} of what the fingers' places do not "
-        "explain is left"
+        f"fingers look swapped between hip and force{other}: with {pairs}, only {left:.1%} of what the fingers' places do "
+        "not explain is left"
     )
     better = replace(evidence, force=evidence.force[:, crossed])
     return better, [

@@ -22,7 +22,7 @@ from .noise import correlation_time, noise_of
 
 _TOWARDS = 0.6  # of a force's size: more than friction makes point towards the other fingers, and
 _AWAY = 0.3  # so much points away from them, of what is held
-_SURE = 2.5  # standard errors of a mass
+SURE = 2.5  # standard errors of a mass
 _LENGTHS = {1e-3: "millimetres", 1e-2: "centimetres", 1e3: "kilometres"}
 _FORCES = {1e-3: "millinewtons", 1e3: "kilonewtons"}
 _HAND, _OFF = (0.02, 200.0), 50.0  # N that fingers press with; by what factor a mass may be wrong
@@ -170,9 +170,9 @@ def _dealt(grip: Grip) -> tuple[Grip, list[Finding]]:
     dealt = linear_sum_assignment(-share)[1]
     mends = (dealt != np.arange(len(own))).any() and (share[np.arange(len(own)), dealt] > _AWAY).all()
     mass, error = _carried(grip)
-    if mends and not (len(wrong) == len(own) and mass < -_SURE * error):
+    if mends and not (len(wrong) == len(own) and mass < -SURE * error):
         pairs = ", ".join(f"force {j} to finger {i}" for i, j in enumerate(dealt) if i != j)
-        known = len(wrong) < len(own) or mass > _SURE * error
+        known = len(wrong) < len(own) or mass > SURE * error
         sentence = (
             f"fingers look swapped between hip and force{'' if known else ', or all forces reversed'}: with {pairs}, forces "
             "point away from the other fingers, as of what is held"
@@ -199,16 +199,23 @@ def _with_forces(grip: Grip, force: np.ndarray) -> Grip:
 
 
 def _carried(grip: Grip) -> tuple[float, float]:
-    """The mass (kg) that the fingers carry and accelerate together, with the hips' accelerations, and its standard error."""
-    hip, dt = grip.hip.mean(axis=1), float(np.median(np.diff(grip.times)))
+    """The mass (kg) that the fingers carry together, and its standard error."""
+    return carried(grip.scene, grip.times, grip.hip, grip.force, grip.pressed.sum(axis=1) > 1)
+
+
+def carried(
+    scene: Scene, times: np.ndarray, hip: np.ndarray, force: np.ndarray, held: np.ndarray
+) -> tuple[float, float]:
+    """The mass (kg) that fingers (N, F, 3) carry and accelerate together, with the hips' accelerations, and its standard
+    error; while something is `held` (N,)."""
+    hip, dt = hip.mean(axis=1), float(np.median(np.diff(times))) if len(times) > 1 else 1.0
     window = max(int(_SMOOTH / dt) // 2 * 2 + 1, 5)
-    if window > len(hip):
+    if window > len(hip) or np.count_nonzero(held) < FEW:
         return 0.0, np.inf
-    gravity = grip.scene.world.gravity
+    gravity = scene.world.gravity
     pull = -np.asarray(savgol_filter(hip, window, 3, deriv=2, delta=dt, axis=0))
     pull = pull + (0 if gravity is None else np.asarray(gravity, float))
-    held = grip.pressed.sum(axis=1) > 1
-    pull, whole = pull[held], grip.force.sum(axis=1)[held]
+    pull, whole = pull[held], force.sum(axis=1)[held]
     square = max(float(np.sum(pull**2)), 1e-300)
     mass = float(np.sum(whole * pull)) / square
     left = whole - mass * pull
@@ -221,7 +228,7 @@ def _force(grip: Grip) -> tuple[Grip, list[Finding]]:
     mass, error = _carried(grip)
     assert grip.thing.body is not None
     given = float(grip.thing.body.mass)
-    if _HAND[0] <= typical <= _HAND[1] or mass < _SURE * error or given / _OFF <= mass <= given * _OFF:
+    if _HAND[0] <= typical <= _HAND[1] or mass < SURE * error or given / _OFF <= mass <= given * _OFF:
         return grip, []
     for factor, unit in _FORCES.items():
         if given / _OFF <= factor * mass <= given * _OFF:
