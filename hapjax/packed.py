@@ -14,16 +14,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from ._flat_step import FlatStep, Traced, flat_step, handed
 from .errors import InputError
 from .god_object import Touch
 from .paths import number_at, part_at
 from .scene import Scene, dtype_of
-from .simulate import State, init, known, step, step_known
-
-_SMALL = 64  # numbers: an array of more is handed over by itself
+from .simulate import State, init, known, step_known
 
 
 @dataclass(frozen=True)
@@ -43,10 +41,9 @@ class PackedStep:
     start: Array
     fingers: int
     dtype: np.dtype
-    unravel: Callable[[Array], State]
     compile_s: float
     live: dict[str, slice]
-    rest: Callable[[Array], tuple[Array, dict[str, Touch], dict[str, Touch]]]
+    flat: FlatStep
 
     def force(self, memory: Array) -> np.ndarray:
         """The forces (F, 3) in N on the fingers, world frame, that a call ended with."""
@@ -54,15 +51,15 @@ class PackedStep:
 
     def is_lost(self, memory: Array) -> bool:
         """Whether the call left the range of sense: `Reply.lost`."""
-        return bool(np.asarray(memory)[-1])
+        return bool(np.asarray(memory)[self.flat.first - 1])
 
     def state(self, memory: Array) -> State:
         """The memory as a State."""
-        return self.unravel(memory)
+        return self.flat.state(memory)
 
     def touches(self, memory: Array) -> dict[str, Touch]:
         """What each finger did on each touchable object in the call: `Reply.touch`."""
-        return self.rest(memory)[1]
+        return self.flat.reply(memory).touch
 
 
 def pack(
@@ -82,69 +79,41 @@ def pack(
     **Raises:** `InputError` as `init` does, and for paths of no numbers.
     """
     state = init(scene, hip, gimbal)
-    flat, build = ravel_pytree(state)
-    fingers = np.shape(hip)[0]
-    dtype = dtype_of(scene)
-    first = 3 * fingers + len(flat)
-    numbers = _live(scene, live)
-    ends = [first, *(first + np.cumsum([number.size for number in numbers.values()], dtype=int)).tolist()]
+    fingers, dtype, numbers = np.shape(hip)[0], dtype_of(scene), _live(scene, live)
+    inputs = [jax.ShapeDtypeStruct(shape, dtype) for shape in [(fingers, 3), (fingers,)]]
+    period = None if dt is None else jnp.asarray(dt, dtype)
+    began = time.perf_counter()
+    known_now = jax.jit(known)(scene)
+    arguments = known_now, state, inputs[0], period, None if gimbal is None else inputs[1]
+    parts = flat_step(Traced(step_known, *arguments), *arguments)
+    before = parts.before(state)
+    last = len(before)
+    ends = [last, *(last + np.cumsum([number.size for number in numbers.values()], dtype=int)).tolist()]
     places = {path: slice(*ends[i : i + 2]) for i, path in enumerate(numbers)}
-
     # Never compiled in: with numbers that it knows, the compiler rounds otherwise than in `rollout`, which does not.
-    given = scene if live else jax.jit(known)(scene)
-    arrays, whole = _handed((given, None if dt is None else jnp.asarray(dt, dtype)))
+    arrays, whole = handed((scene if live else known_now, period))
 
     def packed(arrays: Any, memory: Array, hip: Array, gimbal: Array | None = None) -> Array:
+        if not live:
+            return parts.call(arrays, memory, hip, gimbal)
         given, period = whole(*arrays)
-        if live:
-            values = [memory[place].reshape(numbers[path].shape) for path, place in places.items()]
-            given = known(eqx.tree_at(lambda s: [part_at(s, path) for path in live], given, values))
-        after, reply = step_known(given, unravel(memory), hip, period, gimbal)
-        kept = [memory[first : ends[-1]]] if live else []
-        # Touches of contacts have no reader, but what the compiler leaves out changes how it rounds what is left.
-        rest = ravel_pytree((reply.pose, reply.touch, reply.contact))[0].astype(dtype)
-        lost = reply.lost.astype(dtype)[None]
-        return jnp.concatenate([reply.force.ravel(), ravel_pytree(after)[0], *kept, rest, lost])
+        values = [memory[place].reshape(numbers[path].shape) for path, place in places.items()]
+        now = known(eqx.tree_at(lambda s: [part_at(s, path) for path in live], given, values))
+        after = parts.call(handed((now, period))[0], memory[:last], hip, gimbal)
+        return jnp.concatenate([after, memory[last:]])
 
-    def unravel(memory: Array) -> State:
-        return build(memory[3 * fingers : first])
-
-    _, answer = jax.eval_shape(step, scene, state, np.zeros((fingers, 3), dtype), dt, gimbal)
-    answered = jax.tree.map(lambda x: jnp.zeros(x.shape, dtype), (answer.pose, answer.touch, answer.contact))
-    blank, as_answered = ravel_pytree(answered)
     held = [number.ravel() for number in numbers.values()]
-    start = jnp.concatenate([jnp.zeros(3 * fingers, dtype), flat, *held, blank, jnp.zeros(1, dtype)])
-
-    def rest(memory: Array) -> tuple[Array, dict[str, Touch], dict[str, Touch]]:
-        return as_answered(memory[ends[-1] : -1])
+    start = jnp.concatenate([before, *held])
 
     def begin(hip: Float[Any, "F 3"], gimbal: Float[Any, "F"] | None = None) -> np.ndarray:
         memory = np.array(start)
-        memory[3 * fingers : first] = np.concatenate(
-            [np.ravel(leaf) for leaf in jax.tree.leaves(init(scene, hip, gimbal))]
-        )
+        memory[:last] = parts.before(init(scene, hip, gimbal))
         return memory
 
-    began = time.perf_counter()
-    shapes = [(fingers, 3)] if gimbal is None else [(fingers, 3), (fingers,)]
-    inputs = [jax.ShapeDtypeStruct(shape, dtype) for shape in shapes]
+    inputs = inputs[: 1 if gimbal is None else 2]
     call = partial(jax.jit(packed).lower(arrays, start, *inputs).compile(), arrays)
     compile_s = time.perf_counter() - began
-    return PackedStep(call, begin, start, fingers, np.dtype(dtype), unravel, compile_s, places, rest)
-
-
-def _handed(tree: Any) -> tuple[tuple[Array, list[Array]], Callable[..., Any]]:
-    """A pytree as few arrays, its small ones all in one, and what makes it of them again."""
-    leaves, structure = jax.tree.flatten(tree)
-    small = [leaf.size <= _SMALL for leaf in leaves]
-    vector, apart = ravel_pytree([leaf for leaf, few in zip(leaves, small, strict=True) if few])
-    large = [leaf for leaf, few in zip(leaves, small, strict=True) if not few]
-
-    def whole(vector: Array, large: list[Array]) -> Any:
-        parts, others = iter(apart(vector)), iter(large)
-        return jax.tree.unflatten(structure, [next(parts if few else others) for few in small])
-
-    return (vector, large), whole
+    return PackedStep(call, begin, start, fingers, np.dtype(dtype), compile_s, places, parts)
 
 
 def _live(scene: Scene, paths: Sequence[str]) -> dict[str, Array]:

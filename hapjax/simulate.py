@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections import OrderedDict
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -13,7 +14,10 @@ from jaxtyping import Array, Float
 from . import body as rigid
 from . import contact as pairs
 from . import god_object, grasp, rotation, safe
+from ._flat_step import Traced, flat_step
+from ._one_function import is_tried
 from ._segments import computed_again, scan_in_segments
+from ._stand_in import stand_in
 from ._state import SENSE, flat, in_sense
 from ._state import Reply as Reply
 from ._state import State as State
@@ -133,15 +137,39 @@ def rollout(
         raise InputError(
             f"gimbals has the shape {gimbals.shape}; allowed: {hips.shape[:2]}, an angle for each of hips"
         )
-    scan = scan_in_segments if checkpoint else jax.lax.scan
     dt = None if dt is None else jnp.asarray(dt, dtype_of(scene))
-    given, (numbers, build) = (known(scene), dt), flat(state)
+    given, scan = known(scene), scan_in_segments if checkpoint else jax.lax.scan
+    if not is_tried(given, dt, state, hips, gimbals):
+        return _steps(step_known, scan, given, dt, state, hips, gimbals)
+    fingers = [None if x is None else jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in (hips, gimbals)]
+    step = Traced(step_known, given, state, fingers[0], dt, fingers[1])
+    steps = partial(_steps, step, scan)
+
+    def in_one(given, dt, state, hips, gimbals):
+        parts = flat_step(step, given, state, fingers[0], dt, fingers[1])
+        return (parts.rollout if parts.in_one else steps)(given, dt, state, hips, gimbals)
+
+    # Gradients and batches are cheaper of a step that XLA can take apart.
+    return stand_in(steps, in_one, given, dt, state, hips, gimbals)
+
+
+def _steps(
+    step: Callable[..., Any],
+    scan: Callable[..., Any],
+    given: Any,
+    dt: Any,
+    state: State,
+    hips: Array,
+    gimbals: Array | None,
+):
+    """A rollout, step after step."""
+    numbers, build = flat(state)
 
     def one(carry, x):
         # Tied to what changes, or XLA does outside of the loop what it can of a step; a product that is then no longer
         # rounded together with its sum has other last bits than in the servo loop's step.
-        (parts, period), hip = jax.lax.optimization_barrier((given, x[0]))
-        after, reply = step_known(parts, build(*carry), hip, period, x[1])
+        parts, period, hip = jax.lax.optimization_barrier((given, dt, x[0]))
+        after, reply = step(parts, build(*carry), hip, period, x[1])
         return (flat(after)[0], after.hip), reply
 
     carry, replies = scan(computed_again(one), (numbers, state.hip), (hips, gimbals))
