@@ -270,6 +270,7 @@ def _transform(
     path: str, index: int | None, bounds: Mapping[str, tuple[float, float]], name: str = ""
 ) -> Transform:
     limits = bounds.get(name, bounds.get(f"{path}[{index}]", bounds.get(path)))
+    signed = is_start(path) or path.rsplit(".", 1)[-1] in _SIGNED
     if limits is not None:
         try:
             low, high = (float(x) for x in limits)
@@ -277,8 +278,9 @@ def _transform(
             low = high = np.nan
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise InputError(f"bounds of {path} are {limits!r}; allowed: two finite numbers, the lower first")
+        if low < 0 and not signed:
+            raise InputError(f"bounds of {path} begin at {low:g}; allowed: 0 or above, as in a scene")
         return Logit(low, high)
-    signed = is_start(path) or path.rsplit(".", 1)[-1] in _SIGNED
     return Identity(widest_of(path)) if signed else Log()
 
 

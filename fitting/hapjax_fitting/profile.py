@@ -78,10 +78,14 @@ class Profile:
         return [of_profile(self)]
 
 
-def check_names(names: Sequence[str], free: Sequence[str]) -> None:
+def check_names(names: Sequence[str], free: Sequence[str], each: Sequence[str] = ()) -> None:
     """Refuse names that the free paths do not give, before a fit has been waited for. **Raises:** `InputError`."""
     paths = [path.split("[")[0] for path in free if not is_whole(path)]
     for name in names:
+        if name in each:
+            raise InputError(
+                f"profile names {name}, which each recording has for itself; allowed: {name} @ RECORDING"
+            )
         if re.split(r"\[| @ ", name)[0] not in paths:
             raise _refusal(name, paths, len(paths) < len(free))
 

@@ -55,6 +55,7 @@ class Suggestion:
             f"{name} shows only in when something gives way, which is not counted here."
             for name in self.unseen
         ]
+        words.append("The errors of numbers above 0 are those of their logarithms, about the relative ones.")
         rows = [("(as it is)", "", *(f"{error:.2g}" for error in self.now.values()))]
         rows += [
             (motion, f"{gain:.3g}", *(f"{error:.2g}" for error in self.errors[motion].values()))

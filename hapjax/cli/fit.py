@@ -83,7 +83,7 @@ def fit(
         if report is not None:
             check_makeable(report)
         if profile and not compare:
-            need("hapjax_fitting.profile", "fitting").check_names(profile, free)
+            need("hapjax_fitting.profile", "fitting").check_names(profile, free, each)
         if posterior is not None:
             need("hapjax_fitting.posterior", "fitting").check_numbers(posterior, seed)
         loaded, read = agreed(lambda: ([load_recording(p, topics) for p in recordings], load_scene(scene)))

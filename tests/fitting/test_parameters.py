@@ -99,6 +99,7 @@ MU = "object.cube.surface.mu"
         (lambda s: (s.object["cube"].surface.mu, "mu"), None, "free selects 'mu'"),
         ([MU], {"object.cube.body.mass": (0.1, 1.0)}, "which is not free"),
         ([MU], {MU: (1.0, 0.1)}, "the lower first"),
+        ([MU], {MU: (-1.0, 0.7)}, "begin at -1; allowed: 0 or above"),
         ([MU], {MU: (0.1, np.inf)}, "two finite numbers"),
         ([MU], {MU: (0.1, 0.5)}, "starts at 0.6; allowed: between its bounds 0.1 and 0.5"),
     ],

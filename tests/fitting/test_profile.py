@@ -91,4 +91,6 @@ def test_a_wrong_name_is_refused_before_the_fit(tmp_path, capsys):
     for name in ("object.cube.body.mass", "object.cube.body.pseudo_inertia"):
         with pytest.raises(InputError, match=f"{name}, .* allowed: {MU}; of pseudo_inertia there is none"):
             check_names([name], [MU, "object.cube.body.pseudo_inertia"])
+    with pytest.raises(InputError, match=f"{MU}, which each recording has for itself; allowed: {MU} @"):
+        check_names([MU], BOTH, [MU])
     check_names([f"{MU}[2]", f"{MU} @ stroke.npz"], BOTH)
