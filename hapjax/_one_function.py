@@ -96,7 +96,7 @@ def _written_out(closed: ClosedJaxpr, *arguments: Any) -> list[Any]:
         name, found, called = equation.primitive.name, equation.params, inner(equation)
         if called is not None:
             return _written_out(called, *inputs)
-        if "axes" in found and math.prod(inputs[0].shape[axis] for axis in found["axes"]) <= _MOST:
+        if "axes" in found and 1 <= math.prod(inputs[0].shape[axis] for axis in found["axes"]) <= _MOST:
             if name in _FOLDS:
                 # Apart, or each number is found anew wherever it is used.
                 return [apart(reduce(_FOLDS[name], _slices(inputs[0], found["axes"])))]
