@@ -20,7 +20,8 @@ from .clocks import beside, clock_of
 from .evidence import Evidence, evidence_of, scaled
 from .fingers import fingers_of, unexplained
 from .held import lies_of_grip
-from .motion import FEW, no_slip, stuck, unreached
+from .motion import no_slip, stuck, unreached
+from .noise import correlation_time, is_quiet
 from .sensors import Sensors
 from .sharding import shared_out
 
@@ -31,6 +32,7 @@ _FORCES = {1e-3: "millinewtons", 1e3: "kilonewtons"}
 _OFF = 50.0  # by what factor a stiffness may be wrong before it is a wrong unit
 _HAND = (0.02, 200.0)  # N, what fingers press with
 _REACH = 3.0  # m, what no fingertip travels
+_CHANCE = 6.0  # standard errors of a stiffness
 _WIDE, _NARROW = 0.5, 1e-3  # m: what is taken for too large a unit, or too small a one, spans more, or less
 
 
@@ -235,8 +237,7 @@ def _no_contact(evidence: Evidence) -> Finding | None:
     if evidence.force is None:
         return None
     touching, noise = evidence.touching, evidence.noise
-    enough = len(evidence.force) >= FEW  # to tell noise from a force
-    quiet = (enough and strongest <= 6 * noise) or strongest == 0
+    quiet = is_quiet(evidence.force, noise) and not _goes_with_depth(evidence)
     if evidence.whole and quiet and touching.sum() > 20:
         sentence = (
             f"no force is above its noise, {noise:.2g} N, though fingers are in surfaces at "
@@ -248,3 +249,15 @@ def _no_contact(evidence: Evidence) -> Finding | None:
             "force", "no contact", f"no force is above its noise, {noise:.2g} N: nothing was touched"
         )
     return None
+
+
+def _goes_with_depth(evidence: Evidence) -> bool:
+    """Whether a finger's force, but for what a sensor always shows, goes with its depth more than noise does by chance."""
+    assert evidence.force is not None
+    depth = np.where(evidence.touching, evidence.places.depth, 0)[..., None] * evidence.normal
+    depth, force = (x - x.mean(axis=0) for x in (depth, evidence.force))
+    square = np.maximum(np.sum(depth**2, axis=(0, 2)), 1e-300)
+    stiffness = np.sum(depth * force, axis=(0, 2)) / square
+    left = np.moveaxis(force - stiffness[:, None] * depth, 1, 0)
+    errors = [np.mean(x**2) * correlation_time([x[None]]) for x in left]
+    return bool(np.any(stiffness**2 * square > _CHANCE**2 * np.array(errors)))

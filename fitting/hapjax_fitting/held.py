@@ -18,7 +18,7 @@ from hapjax import Finding, Mesh, Object, Recording, Scene
 from .clocks import best_shift, how_shifted
 from .evidence import at, closest
 from .motion import FEW, Stuck, stuck_by
-from .noise import correlation_time, noise_of
+from .noise import correlation_time, is_quiet, noise_of
 
 _TOWARDS = 0.6  # of a force's size: more than friction makes point towards the other fingers, and
 _AWAY = 0.3  # so much points away from them, of what is held
@@ -82,10 +82,10 @@ def lies_of_grip(scene: Scene, recording: Recording) -> list[Finding]:
 
 def _nothing(scene: Scene, recording: Recording) -> list[Finding]:
     """No force at all."""
-    if recording.force is None or len(recording.force) < FEW:  # too few to tell noise from a force
+    if recording.force is None:
         return []
     noise = float(noise_of([recording], None, scene.integrator.dt.dtype).force)
-    if float(np.linalg.norm(recording.force, axis=-1).max()) > 6 * noise:
+    if not is_quiet(recording.force, noise):
         return []
     sentence = f"no force is above its noise, {noise:.2g} N: nothing was touched"
     return [Finding("force", "no contact", sentence)]

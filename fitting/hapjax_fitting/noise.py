@@ -7,11 +7,13 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import uniform_filter1d
 
 from hapjax import InputError, Recording
 
 from .observation import LOST, Noise
 
+_ENOUGH, _LONG = 20, 101  # samples: so many tell noise from a force, and of so many the mean is taken
 _FIELDS = ("force", "position", "angle")
 
 
@@ -35,6 +37,15 @@ def noise_of(recordings: Sequence[Recording], given: Mapping[str, float] | None,
         "angle": _estimate([np.diff(_turns(p[..., 3:]), n=2, axis=0) for p in poses], np.pi),
     }
     return Noise(**{name: jnp.asarray(given.get(name, found[name]), dtype) for name in _FIELDS})
+
+
+def is_quiet(force: Float[np.ndarray, "N F 3"], noise: float) -> bool:
+    """Whether a force is no more than noise (N): each sample of it, and, but for what it always is, its mean over a time."""
+    strongest = float(np.linalg.norm(force, axis=-1).max())
+    if strongest == 0 or len(force) < _ENOUGH:
+        return strongest == 0
+    mean = uniform_filter1d(force - np.median(force, axis=0), min(_LONG, len(force)), axis=0)
+    return strongest <= 6 * noise and float(np.linalg.norm(mean, axis=-1).max()) <= noise
 
 
 def _third(series: Sequence[np.ndarray]) -> float:

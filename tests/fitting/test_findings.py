@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fitting_cases import floor, forces, held_cube
-from fitting_lies import STEPS, found, four_fingers, in_hand, late, on_floor, strokes
+from fitting_lies import STEPS, found, four_fingers, in_hand, late, lifted, on_floor, strokes
 from hapjax import Recording, cast
 from hapjax_fitting import fit
 from hapjax_fitting.benchmark import pushed, speed
@@ -60,6 +60,21 @@ def test_motions_that_come_again_look_the_same_at_other_times_but_no_better(seed
     recording, case = speed.strokes(20, seed), CASES["critical area"]
     assert found(recording, speed.floor(*speed.TRUTH), friction=True) == (set(), "")
     assert ("shifted clock", "pose") not in found(case.recorded(seed), case.truth())[0]
+
+
+@pytest.mark.parametrize("sigma", [1.0, 2.0])
+def test_a_force_is_told_from_its_noise_where_no_sample_of_it_is_above(sigma):
+    """And is missed, whatever an unplugged sensor always shows."""
+    grasp, bare = lifted(), replace(lifted(), pose=None, pose_t=None)
+    for recording, force, scene, kind in (
+        (on_floor(), strokes()[2], floor(), "no force"),
+        (grasp, grasp.force, held_cube(), "no force"),
+        (bare, grasp.force, held_cube(), "no contact"),
+    ):
+        assert force is not None
+        noise = sigma * np.random.default_rng(2).standard_normal(force.shape)
+        assert found(replace(recording, force=force + noise), scene) == (set(), "")
+        assert found(replace(recording, force=0.8 * sigma + noise), scene)[0] == {(kind, "force")}
 
 
 @pytest.mark.parametrize("count", [1, 3, 10])
