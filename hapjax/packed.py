@@ -71,7 +71,8 @@ def pack(
 ) -> PackedStep:
     """Compile the step of `scene` for fingers that start at `hip` (F, 3) m; `dt` in s, `None`: the integrator's.
 
-    The same `hip`s give the same forces as through `rollout`, to the last bit, on the same machine.
+    The same `hip`s give the same forces as through `rollout`, to the last bit, on the same machine and with the same
+    `XLA_FLAGS`.
 
     **Arguments:** `gimbal` (F,) rad, where the scene's torsion is a `Gimbal`. `live`: paths of numbers, such as
     `object.cube.surface.mu`, that can be changed between two calls.
