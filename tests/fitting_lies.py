@@ -59,7 +59,9 @@ def lifted(seed=0, steps=1000) -> Recording:
     random, t = np.random.default_rng(seed), 1e-3 * np.arange(steps)
     phase, starts = random.uniform(0, 6.28, 4), np.clip(3 * (t - 0.3), 0, 1)
     squeeze = np.interp(t, [0, 0.15], [0.032, 0.026]) + 6e-4 * np.sin(9 * t + phase[0]) * (t > 0.15)
-    up = 0.02 * np.clip((t - 0.3) / 0.5, 0, 1)
+    up = 0.02 * np.clip((t - 0.3) / 0.5, 0, 1) + 2e-3 * np.sin(11 * t + phase[1]) * np.clip(
+        5 * (t - 0.8), 0, 1
+    )
     x, y = (a * np.sin(w * t + p) * starts for a, w, p in ((0.012, 5, phase[2]), (0.008, 7, phase[3])))
     ends = [np.stack([side * squeeze + x, y, 0.03 + up], axis=-1) for side in (-1, 0.97)]
     path, scene = np.stack(ends, axis=1), held_cube()

@@ -24,6 +24,7 @@ from .motion import no_slip, stuck, unreached
 from .noise import correlation_time, is_quiet
 from .sensors import Sensors
 from .sharding import shared_out
+from .tracking import untracked
 
 _TURN = 2 * np.pi
 # Each with the factor by which it must explain the stiffness better than millimetres, which are common.
@@ -46,7 +47,8 @@ def findings_of(
     """What is odd about recordings of a scene, with the evidence in a sentence each, after what loading them found.
 
     Of each recording: units of length, force and angle; force of the wrong sign, or along the wrong axis; fingers swapped;
-    clocks shifted against each other; no contact; no force; a stuck encoder; and, with `friction` to be found, no slip.
+    clocks shifted against each other; no contact; no force; a stuck encoder; poses that were held; and, with `friction` to
+    be found, no slip.
 
     **Arguments:** `names`, what the recordings are called; `sensors`, how they were measured, by name: what is known of that
     is undone first.
@@ -74,12 +76,13 @@ def lies(scene: Scene, recording: Recording, friction: bool = True) -> list[Find
     if evidence.force is None:
         return found
     evidence, dealt = fingers_of(evidence)
-    suspects = stuck(evidence)
-    evidence, late = clock_of(evidence, suspects)
+    suspects, unseen = stuck(evidence), untracked(evidence)
+    evidence, late = clock_of(evidence, suspects + unseen)
     evidence, turned = axes_of(evidence, so_read=bool(units or dealt or late))
     frozen = [each.finding for each in (stuck(evidence) if late or turned else suspects)]
     slipless = no_slip(evidence) if friction and not frozen else []
-    return found + dealt + late + turned + frozen + slipless
+    held = [each.finding for each in unseen if not each.finger]
+    return found + dealt + held + late + turned + frozen + slipless
 
 
 def _undone(recording: Recording, sensors: Sensors) -> Recording:

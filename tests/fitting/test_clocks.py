@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fitting_cases import floor, forces
-from fitting_lies import found, four_fingers, late, on_floor
+from fitting_cases import floor, forces, held_cube
+from fitting_lies import found, four_fingers, late, lifted, on_floor
 from hapjax import Recording, cast
 from hapjax_fitting.benchmark import speed
 from hapjax_fitting.findings import lies
@@ -79,3 +79,16 @@ def test_the_size_of_a_shift_is_told(lag):
     told = float(finding.sentence.split(" is ")[1].split(" ms")[0])
     assert told == pytest.approx(1e3 * abs(lag), abs=1.0)
     assert ("late" if lag > 0 else "early") in finding.sentence
+
+
+@pytest.mark.parametrize("seed", [0, 5])
+def test_poses_that_were_held_are_no_shifted_clock(seed):
+    """They are named; poses that rest and then move on are not."""
+    true = lifted(seed, 2000)
+    assert true.pose is not None and true.pose_t is not None
+    held, rests = true.pose.copy(), true.pose.copy()
+    held[100:200], rests[:20] = held[100], rests[20]
+    kinds, said = found(replace(true, pose=held), held_cube())
+    assert kinds == {("held poses", "pose")}, said
+    assert "from 0.505 to 1 s, then jumps by" in said
+    assert found(replace(true, pose=rests), held_cube()) == (set(), "")
