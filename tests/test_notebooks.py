@@ -38,7 +38,7 @@ CLAIMS = {
     "choose_an_integrator": [
         (rf"semi_implicit: off by [0-9.]+, {NUMBER},", 200, 300),
         (rf"substeps: off by [0-9.]+, {NUMBER},", 0, 2),
-        (rf"within 1e-05 m: lie_midpoint, {NUMBER} substeps", 2, 2),
+        (rf"within 2e-06 m: lie_midpoint, {NUMBER} substeps", 2, 2),
         (rf"SemiImplicit: .* and {NUMBER} mm", 100, 1e6),
         (rf"Implicit: after 0.1 s between {NUMBER} and 30 mm", 30, 30),
     ],
