@@ -36,7 +36,7 @@ class PackedStep:
     calls from then on.
     """
 
-    call: Callable[..., Array]
+    call: partial[Array]
     begin: Callable[..., np.ndarray]
     start: Array
     fingers: int

@@ -174,7 +174,14 @@ def test_latency_prints_and_writes_its_figures(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     quicker = ["--scene", scene, "--fingers", "2", "--seconds", "0.2"]
     bars = followed(monkeypatch, latency)
+    arguments, calls = [], latency._calls
+    monkeypatch.setattr(
+        latency,
+        "_calls",
+        lambda both, *rest: arguments.extend(str(c.func.args_info) for c in both) or calls(both, *rest),
+    )
     assert main([*example("benchmark"), *quicker]) == 0
+    assert arguments[0] == arguments[1]  # the packed and the empty call's
     assert bars == [{"total": 2.2, "told": pytest.approx(2.2), "apart": True}]
     printed, figures = capsys.readouterr().out, json.loads(file.read_text())
     for words in ("scan", "packed call", "empty call", "late by", "missed ticks", "compile"):

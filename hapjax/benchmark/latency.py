@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -77,14 +78,17 @@ def report(scene: Scene | None, fingers: int, seconds: float, file: Path | None)
 def _empty(packed: PackedStep, inputs: list[np.ndarray]) -> Callable[..., Any]:
     """A compiled call with the packed step's arguments and result that does next to nothing.
 
-    It adds one number, since a call that only hands its argument back would not be made at all.
+    The scene's numbers are among the arguments. It adds one number of each, since a call that only hands its argument
+    back would not be made at all.
     """
     shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in inputs]
 
-    def empty(memory, *inputs):
-        return memory + sum(x.ravel()[0] for x in inputs)
+    def empty(given, memory, *inputs):
+        return memory + sum(x.ravel()[0] for x in jax.tree.leaves((given, inputs)))
 
-    return jax.jit(empty).lower(packed.start, *shapes).compile()
+    return partial(
+        jax.jit(empty).lower(*packed.call.args, packed.start, *shapes).compile(), *packed.call.args
+    )
 
 
 def _calls(
