@@ -31,8 +31,10 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 # Tracing leaves millions of objects behind: looking through them as often as usual takes a sixth of the time.
 gc.set_threshold(100_000, 50, 100)
 
-# How fast a test runs depends on the machine: no example fails for being slow.
-hypothesis.settings.register_profile("hapjax", deadline=None)
+# How fast a test runs depends on the machine: no example fails for being slow. The examples are the same each time, since a
+# change is to pass for what it does; `--hypothesis-profile=search` looks for others.
+hypothesis.settings.register_profile("hapjax", deadline=None, derandomize=True)
+hypothesis.settings.register_profile("search", deadline=None)
 hypothesis.settings.load_profile("hapjax")
 
 X64 = jax.config.read("jax_enable_x64")
