@@ -5,6 +5,7 @@ from .attached import attached as attached
 from .browser import BrowserDevice as BrowserDevice
 from .bus import About as About
 from .bus import Broadcast as Broadcast
+from .bus import NotBegun as NotBegun
 from .bus import Numbers as Numbers
 from .bus import TickPublisher as TickPublisher
 from .bus import TickReader as TickReader

@@ -1,4 +1,4 @@
-"""`python -m hapjax.tuning JSON`: the process that estimates, as `hapjax run --tune` starts it."""
+"""`python -m hapjax.tuning JSON PROCESS`: the process that estimates, as `hapjax run --tune` starts it."""
 
 import sys
 

@@ -32,8 +32,8 @@ class _Listener:
     **Attributes:** `about` the run.
     """
 
-    def __init__(self, run: str):
-        self._reader = need("hapjax_devices", "devices").TickReader(run, 600.0)
+    def __init__(self, run: str, process: int):
+        self._reader = need("hapjax_devices", "devices").TickReader(run, 600.0, process=process)
         self.about = self._reader.about
         self._waiting, self._lock, self._over = np.zeros(0, self.about.tick), threading.Lock(), False
         threading.Thread(target=self._listen, daemon=True).start()
@@ -135,19 +135,22 @@ def main(arguments: list[str]) -> int:
 
     Returns the exit code: 0, or 2 for bad input.
     """
-    if len(arguments) != 1:
-        print("usage: python -m hapjax.tuning JSON, as hapjax run --tune starts it", file=sys.stderr)
+    if len(arguments) != 2:
+        print("usage: python -m hapjax.tuning JSON PROCESS, as hapjax run --tune starts it", file=sys.stderr)
         return 2
     with suppress(OSError):
         os.nice(_NICE)
+    devices, process = need("hapjax_devices", "devices"), int(arguments[1])
     try:
         tuning = Tuning(**json.loads(arguments[0]))
         need("hapjax_fitting", "fitting")
         with jax.enable_x64(True):
-            listener = _Listener(tuning.run)
-            with need("hapjax_devices", "devices").Numbers(tuning.run, 600.0) as numbers:
+            listener = _Listener(tuning.run, process)
+            with devices.Numbers(tuning.run, 600.0, process) as numbers:
                 tuner = Tuner(tuning, numbers, listener.about.rate)
                 _loop(tuner, listener, tuning.adopt)
+    except devices.NotBegun:
+        return 0  # why is for that process to say
     except InputError as error:
         print(f"hapjax: {error}", file=sys.stderr)
         return 2

@@ -1,6 +1,7 @@
 """The bus: what a servo says at each tick reaches whoever listens, and who does not holds nobody up."""
 
 import os
+import subprocess
 import threading
 import time
 
@@ -14,6 +15,7 @@ from hapjax_devices import (
     About,
     Broadcast,
     Event,
+    NotBegun,
     TickPublisher,
     TickReader,
     VirtualDevice,
@@ -114,6 +116,23 @@ def test_runs_do_not_mix():
             Broadcast(name)
     with pytest.raises(InputError, match="readers is 7; allowed: 0 to 6"):
         Broadcast("a", readers=7)
+
+
+def test_a_reader_that_wants_the_run_of_a_process_takes_no_other(publisher):
+    with reader(publisher, process=os.getpid()) as own:
+        assert own.about.process == os.getpid()
+    telling = threading.Thread(target=publisher.wait_for, args=(1, 0.5))
+    telling.start()
+    with pytest.raises(InputError, match="no run") as refused:
+        TickReader(publisher.run, 0.3, process=os.getppid())
+    telling.join()
+    assert not isinstance(refused.value, NotBegun)
+    with subprocess.Popen(["true"]) as ended:
+        os.waitid(os.P_PID, ended.pid, os.WEXITED | os.WNOWAIT)  # nobody has asked how it ended yet
+        with pytest.raises(NotBegun, match="its process has ended"):
+            TickReader(publisher.run, process=ended.pid)
+    with pytest.raises(NotBegun, match="its process has ended"):
+        TickReader(publisher.run, process=ended.pid)
 
 
 def test_what_happens_is_told(publisher):

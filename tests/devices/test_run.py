@@ -233,6 +233,8 @@ def test_asked_to_end_before_it_begins_it_ends(table, tmp_path, monkeypatch, cap
 
 def test_falcons_of_a_servo_that_was_killed_are_told_to_push_no_more(table, monkeypatch, capfd):
     class Killed:
+        pid = os.getpid()
+
         def __init__(self, session):
             pass
 

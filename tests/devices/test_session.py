@@ -1,6 +1,5 @@
 """A session's parts: which devices it has, what virtual fingers do, devices of their own rate, figures."""
 
-import os
 import re
 from pathlib import Path
 
@@ -111,8 +110,11 @@ def test_the_servos_process_keeps_to_the_limits(places, monkeypatch):
         raise DeviceError("enough")
 
     monkeypatch.setattr(process, "run", run)
-    assert process.main([session(places, kinds=("virtual",), max_force=2.0, slew=300.0).to_json()]) == 1
-    assert given["limits"] == [Limits(2.0, 300.0)]
+    parents = []
+    monkeypatch.setattr(process, "end_with", parents.append)
+    told = session(places, kinds=("virtual",), max_force=2.0, slew=300.0).to_json()
+    assert process.main([told, "17"]) == 1
+    assert given["limits"] == [Limits(2.0, 300.0)] and parents == [17]
 
 
 @pytest.mark.slow
@@ -324,15 +326,12 @@ def asked(monkeypatch):
     return process._Asked(3.0), handlers
 
 
-def test_the_loop_ends_with_its_ticks_a_signal_or_its_parent(asked, monkeypatch):
+def test_the_loop_ends_with_its_ticks_or_a_signal(asked):
     over, handlers = asked
     assert [over(), over(), over()] == [False, False, True]
     over = process._Asked(float("inf"))
     assert not over()
     handlers[process.signal.SIGTERM](process.signal.SIGTERM, None)
-    assert over()
-    over = process._Asked(float("inf"))
-    monkeypatch.setattr(os, "getppid", lambda: 1)
     assert over()
 
 

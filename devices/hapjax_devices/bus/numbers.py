@@ -99,15 +99,15 @@ class Inbox:
 class Numbers:
     """The live numbers of a run, read and set from any process of the same user.
 
-    **Arguments:** `run`, its name; `patience`, s to wait for it to begin.
+    **Arguments:** `run`, its name; `patience`, s to wait for it to begin; the number of its `process`, `None`: of any.
 
     **Attributes:** `about` the run.
 
     **Raises:** `InputError` where there is no such run, or it has no live numbers.
     """
 
-    def __init__(self, run: str, patience: float = 20.0):
-        self._reader = TickReader(run, patience)
+    def __init__(self, run: str, patience: float = 20.0, process: int | None = None):
+        self._reader = TickReader(run, patience, process=process)
         self.about = self._reader.about
         if not self.about.live:
             self._reader.close()

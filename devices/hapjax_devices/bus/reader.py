@@ -16,23 +16,30 @@ from . import services
 from .about import About
 
 
+class NotBegun(InputError):
+    """The process whose run was waited for has ended before that was on the bus."""
+
+
 class TickReader:
     """Reads the ticks of a run; how slowly it does is its own affair.
 
     **Arguments:** `run`, its name; `patience`, s to wait for it to begin; `depth`, how many ticks are kept for this reader,
-    `None`: those of 1.25 s. A display that wants the newest takes 1.
+    `None`: those of 1.25 s. A display that wants the newest takes 1; the number of the `process` whose run it is to be,
+    `None`: whichever has the name.
 
     **Attributes:** `about` the run; `lost`, how many ticks were pushed out before they were read, or never sent; `last`, the
     newest tick that was read, -1 before.
 
-    **Raises:** `InputError` where the run does not begin in time.
+    **Raises:** `InputError` where the run does not begin in time; `NotBegun`, which is one, where the process has ended.
     """
 
-    def __init__(self, run: str, patience: float = 20.0, depth: int | None = None):
+    def __init__(
+        self, run: str, patience: float = 20.0, depth: int | None = None, process: int | None = None
+    ):
         services.check_name(run)
         until = time.monotonic() + patience
         self._node = services.join(run)
-        self.about = _told(self._node, run, until)
+        self.about = _told(self._node, run, until, process)
         self._process = _process(self.about.process)
         self._ended = False
         self.lost, self.last = 0, -1
@@ -96,18 +103,24 @@ class TickReader:
             return service.subscriber_builder().buffer_size(kept).create()
 
 
-def _told(node: Any, run: str, until: float) -> About:
-    """What the run says of itself, once it does."""
+def _told(node: Any, run: str, until: float, process: int | None) -> About:
+    """What the run says of itself, once it does: of those of this name the one of the process."""
     iox = services.iceoryx()
     port = None
     while True:
+        over = process is not None and _is_over(process)  # asked first: what it has said before is there then
         if port is None:
             with suppress(iox.PublishSubscribeOpenError):
                 service = services.about(node, run).open()
                 port = service.subscriber_builder().create()
         if port is not None and (sample := port.receive()) is not None:
-            data = bytes(sample.payload().as_memory_view())
-            return About.from_json(data)
+            about = About.from_json(bytes(sample.payload().as_memory_view()))
+            if process in (None, about.process):
+                return about
+            port.delete()
+            port = None
+        if over:
+            raise NotBegun(f"no run {run!r} is on the bus: its process has ended; allowed: one that goes on")
         if time.monotonic() > until:
             raise InputError(
                 f"no run {run!r} is on the bus; allowed: {', '.join(services.runs()) or 'none now'}"
@@ -121,6 +134,16 @@ def _process(number: int) -> int | None:
         return os.pidfd_open(number)
     except ProcessLookupError:
         return None
+
+
+def _is_over(number: int) -> bool:
+    """Whether a process has ended, given by its number."""
+    if (process := _process(number)) is None:
+        return True
+    try:
+        return _has_ended(process)
+    finally:
+        os.close(process)
 
 
 def _has_ended(process: int) -> bool:

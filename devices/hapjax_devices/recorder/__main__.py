@@ -1,4 +1,4 @@
-"""Records a run: python -m hapjax_devices.recorder RUN FILE.mcap [PATIENCE]."""
+"""Records a run: python -m hapjax_devices.recorder RUN FILE.mcap [PATIENCE [PROCESS]]."""
 
 import sys
 

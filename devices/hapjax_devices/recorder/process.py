@@ -3,22 +3,28 @@
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from hapjax import InputError
 
 from .record import record
+
+T = TypeVar("T")
 
 
 class RecorderProcess:
     """A recorder in a process of its own, which the servo's end does not end, nor Ctrl-C: it writes what is left, and the
     file's end.
 
-    **Arguments:** `run`, its name on the bus, which may be still to come for `patience` s; `path` of the new file.
+    **Arguments:** `run`, its name on the bus, which may be still to come for `patience` s; `path` of the new file; the
+    number of the `process` whose run it is to be, `None`: of any.
     """
 
-    def __init__(self, run: str, path: Path, patience: float = 20.0):
+    def __init__(self, run: str, path: Path, patience: float = 20.0, process: int | None = None):
         command = [sys.executable, "-m", __package__, run, str(path), repr(patience)]
+        command += [] if process is None else [str(process)]
         self._process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
         )
@@ -61,9 +67,10 @@ class RecorderProcess:
 
 def main(arguments: list[str]) -> int:
     """Record until the run ends or SIGTERM or Ctrl-C comes; returns the exit code."""
-    if len(arguments) not in (2, 3):
-        print("usage: python -m hapjax_devices.recorder RUN FILE.mcap [PATIENCE]", file=sys.stderr)
+    if not 2 <= len(arguments) <= 4:
+        print("usage: python -m hapjax_devices.recorder RUN FILE.mcap [PATIENCE [PROCESS]]", file=sys.stderr)
         return 2
+    run, path, *more = arguments
     asked: list[int] = []
 
     def listen() -> None:
@@ -72,8 +79,9 @@ def main(arguments: list[str]) -> int:
 
     try:
         # Before the run is there, there is nothing to be finished: such a signal then ends it at once.
-        patience = _seconds(*arguments[2:])
-        print(record(arguments[0], Path(arguments[1]), lambda: bool(asked), listen, patience))
+        patience = _number(float, "patience", *more[:1]) if more else 20.0
+        process = _number(int, "process", *more[1:]) if more[1:] else None
+        print(record(run, Path(path), lambda: bool(asked), listen, patience, process))
     except KeyboardInterrupt:
         return 130
     except InputError as error:
@@ -90,8 +98,8 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _seconds(text: str = "20") -> float:
+def _number(kind: Callable[[str], T], name: str, text: str) -> T:
     try:
-        return float(text)
+        return kind(text)
     except ValueError:
-        raise InputError(f"patience is {text!r}; allowed: a number of s") from None
+        raise InputError(f"{name} is {text!r}; allowed: a number") from None

@@ -18,16 +18,17 @@ def record(
     stopped: Callable[[], bool] = lambda: False,
     began: Callable[[], object] = lambda: None,
     patience: float = 20.0,
+    process: int | None = None,
 ) -> str:
     """Record a run until it ends, its process ends, or `stopped()`; returns a sentence that says how it went.
 
     **Arguments:** `run`, its name on the bus; `path` of the new file; `began` is called once nothing is missed any more;
-    `patience`, s to wait for the run.
+    `patience`, s to wait for the run; the number of the `process` whose run it is to be, `None`: of any.
 
     **Raises:** `InputError` where there is no such run, or a file already; `OSError` where the file cannot be written
     on: it is readable up to there.
     """
-    with TickReader(run, patience) as reader:
+    with TickReader(run, patience, process=process) as reader:
         messages = Messages(reader.about)
         file = GrowingFile(path, reader.about, messages.schemas)
         tape = _Tape(reader, messages, file)

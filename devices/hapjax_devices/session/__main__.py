@@ -1,4 +1,4 @@
-"""`python -m hapjax_devices.session JSON`: the servo's process, as a session starts it."""
+"""`python -m hapjax_devices.session JSON PARENT`: the servo's process, as a session starts it."""
 
 import sys
 

@@ -15,6 +15,7 @@ from ..bus import Broadcast
 from ..device import DeviceError
 from ..passivity import Passivity
 from ..servo import run
+from .parent import end_with
 from .settings import Session
 
 PATIENCE = 60.0  # s that is waited for the processes that listen: they import and compile
@@ -30,7 +31,7 @@ class ServoProcess:
     """
 
     def __init__(self, session: Session):
-        command = [sys.executable, "-m", __package__, session.to_json()]
+        command = [sys.executable, "-m", __package__, session.to_json(), str(os.getpid())]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
 
     @property
@@ -60,7 +61,7 @@ class _Asked:
     """Whether a signal has asked the loop to end. Before it has begun, the signal ends the process at once."""
 
     def __init__(self, ticks: float):
-        self._left, self._parent = ticks, os.getppid()
+        self._left = ticks
         self._began = self._asked = False
         for number in _SIGNALS:
             signal.signal(number, self._ask)
@@ -69,7 +70,7 @@ class _Asked:
         """Whether the tick that is done was the last."""
         self._began = True
         self._left -= 1
-        return self._asked or self._left <= 0 or os.getppid() != self._parent
+        return self._asked or self._left <= 0
 
     def _ask(self, number: int, frame: object) -> None:
         self._asked = True
@@ -79,11 +80,13 @@ class _Asked:
 
 def main(arguments: list[str]) -> int:
     """Run a session's servo; returns the exit code: 0, 1 where a device failed, 2 for bad input."""
-    if len(arguments) != 1:
-        print("usage: python -m hapjax_devices.session JSON, as hapjax run starts it", file=sys.stderr)
+    if len(arguments) != 2:
+        print("usage: python -m hapjax_devices.session JSON PARENT, as hapjax run starts it", file=sys.stderr)
         return 2
+    said, parent = arguments
+    end_with(int(parent))
     try:
-        session = Session.from_json(arguments[0])
+        session = Session.from_json(said)
         ticks = np.inf if session.seconds is None else float(round(session.seconds * session.rate))
         result = run(
             session.loaded,

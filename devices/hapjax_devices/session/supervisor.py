@@ -97,10 +97,11 @@ class _Watch:
         view: tuple[str, int] | None,
     ):
         self._session, self._record, self._display = session, record, display
-        self._recorder = None if record is None else RecorderProcess(session.run, record, _PATIENCE)
         self._servo = ServoProcess(session)
-        self._tuner = None if tuning is None else TunerProcess(tuning)
-        self._viewer = None if view is None else viewer.ViewerProcess(session.run, *view, _PATIENCE)
+        run, servo = session.run, self._servo.pid
+        self._recorder = None if record is None else RecorderProcess(run, record, _PATIENCE, servo)
+        self._tuner = None if tuning is None else TunerProcess(tuning, servo)
+        self._viewer = None if view is None else viewer.ViewerProcess(run, *view, _PATIENCE, servo)
         self._tuned: list[dict[str, Any]] = []
         self._figures = Figures(len(session.devices))
         self._said: list[dict[str, Any]] = []
@@ -156,7 +157,7 @@ class _Watch:
         """A reader of the servo's ticks, once it has begun; `None` where it does not."""
         while self._servo.code() is None and not _to_end(asked):
             try:
-                return TickReader(self._session.run, 0.5)
+                return TickReader(self._session.run, 0.5, process=self._servo.pid)
             except InputError:
                 continue  # it imports, compiles, or waits for a device
         return None

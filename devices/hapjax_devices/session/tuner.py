@@ -13,11 +13,11 @@ from hapjax.tuning.settings import Tuning
 class TunerProcess:
     """`python -m hapjax.tuning`, which Ctrl-C in a terminal does not reach.
 
-    **Arguments:** `tuning`, what it is to do.
+    **Arguments:** `tuning`, what it is to do; the number of the `process` whose run it is of.
     """
 
-    def __init__(self, tuning: Tuning):
-        command = [sys.executable, "-m", "hapjax.tuning", tuning.to_json()]
+    def __init__(self, tuning: Tuning, process: int):
+        command = [sys.executable, "-m", "hapjax.tuning", tuning.to_json(), str(process)]
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
         )

@@ -1,4 +1,4 @@
-"""Shows a run: python -m hapjax_devices.viewer RUN HOST PORT [PATIENCE]."""
+"""Shows a run: python -m hapjax_devices.viewer RUN HOST PORT [PATIENCE [PARENT [PROCESS]]]."""
 
 import sys
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from hapjax import InputError, Scene
 from hapjax.paths import number_at
 
-from ..bus import About, Numbers, TickReader
+from ..bus import About, NotBegun, Numbers, TickReader
 from ..bus.about import scene_of
 from . import plots
 from .grip import Grip
@@ -64,14 +64,22 @@ class Decoder:
         return {path: tick["memory"][first:end].reshape(self._shapes[path]) for path, (first, end) in live}
 
 
-def watch(run: str, host: str, port: int, patience: float, over: Callable[[], bool]) -> None:
-    """Show a run on a page at `host` and `port`, from its beginning, for which `patience` s are waited, to its end, or
-    until `over`.
+def watch(
+    run: str,
+    host: str,
+    port: int,
+    patience: float,
+    over: Callable[[], bool],
+    process: int | None = None,
+) -> None:
+    """Show a run, that of the `process` of this number, on a page at `host` and `port`, from its beginning, for which
+    `patience` s are waited, to its end, or until `over`.
 
-    **Raises:** `InputError` where there is no such run, it does not say what its scene is, or the address cannot be had.
+    **Raises:** `InputError` where there is no such run, it does not say what its scene is, or the address cannot be had;
+    `NotBegun`, which is one, where the process has ended.
     """
     with ExitStack() as stack:
-        reader = _reader(run, patience, over)
+        reader = _reader(run, patience, over, process)
         if reader is None:
             return
         stack.enter_context(reader)
@@ -88,11 +96,13 @@ def watch(run: str, host: str, port: int, patience: float, over: Callable[[], bo
             time.sleep(max(0.0, next_frame - time.monotonic()))
 
 
-def _reader(run: str, patience: float, over: Callable[[], bool]) -> TickReader | None:
+def _reader(run: str, patience: float, over: Callable[[], bool], process: int | None) -> TickReader | None:
     until = time.monotonic() + patience
     while not over():
         try:
-            return TickReader(run, 0.5)
+            return TickReader(run, 0.5, process=process)
+        except NotBegun:
+            raise
         except InputError:
             if time.monotonic() > until:
                 raise
@@ -123,7 +133,7 @@ class Page:
         if by_mouse:
             self._grip = stack.enter_context(Grip(server, self._stage, about.run, by_mouse, ticks["hip"][-1]))
         if about.live:
-            numbers = stack.enter_context(Numbers(about.run))
+            numbers = stack.enter_context(Numbers(about.run, process=about.process))
             with server.gui.add_folder("numbers of the scene"):
                 self._sliders = Sliders(server, numbers.set, self._decoder.live(ticks[-1]))
         self._plots = Plots(server, about.fingers)

@@ -11,6 +11,8 @@ from importlib.util import find_spec
 from hapjax import InputError
 from hapjax.extras import need
 
+from ..bus import NotBegun
+
 _NICE = 5  # the servo and the recorder come first
 
 
@@ -19,11 +21,13 @@ class ViewerProcess:
 
     It ends when the run does, when it is asked to, and when the process that started it is no more.
 
-    **Arguments:** `run`, its name on the bus, which may be still to come for `patience` s; `host` and `port` of the page.
+    **Arguments:** `run`, its name on the bus, which may be still to come for `patience` s; `host` and `port` of the page;
+    the number of the `process` whose run it is to be, `None`: of any.
     """
 
-    def __init__(self, run: str, host: str, port: int, patience: float = 20.0):
+    def __init__(self, run: str, host: str, port: int, patience: float = 20.0, process: int | None = None):
         command = [sys.executable, "-m", __package__, run, host, str(port), repr(patience)]
+        command += [str(os.getpid()), *([] if process is None else [str(process)])]
         self._process = subprocess.Popen(command, start_new_session=True)
 
     @property
@@ -64,20 +68,28 @@ def check(host: str, port: int) -> None:
 
 def main(arguments: list[str]) -> int:
     """Show a run until it ends or SIGTERM or Ctrl-C comes; returns the exit code: 0, or 2 for bad input."""
-    if len(arguments) not in (3, 4):
-        print("usage: python -m hapjax_devices.viewer RUN HOST PORT [PATIENCE]", file=sys.stderr)
+    if not 3 <= len(arguments) <= 6:
+        print(
+            "usage: python -m hapjax_devices.viewer RUN HOST PORT [PATIENCE [PARENT [PROCESS]]]",
+            file=sys.stderr,
+        )
         return 2
-    parent, asked = os.getppid(), stop_asked()
+    asked = stop_asked()
     with suppress(OSError):
         os.nice(_NICE)
-    run, host, port, *patience = arguments
+    run, host, port, *more = arguments
+    # Who started it says which number it has: it may have ended while this was imported.
+    parent = int(more[1]) if more[1:] else os.getppid()
+    process = int(more[2]) if more[2:] else None
 
     def over() -> bool:
         return bool(asked) or os.getppid() != parent
 
     try:
         watch = need("hapjax_devices.viewer.live", "viewer").watch
-        watch(run, host, int(port), float(*patience or [20.0]), over)
+        watch(run, host, int(port), float(*more[:1] or [20.0]), over, process)
+    except NotBegun:
+        return 0  # why is for its process to say
     except InputError as error:
         print(f"hapjax: {error}", file=sys.stderr)
         return 2
