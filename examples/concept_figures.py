@@ -54,7 +54,7 @@ def stick_and_slip() -> Figure:
     place.plot(t, along, color="C0", label="tangential force, sticks")
     place.plot(t, np.where(slips, along, np.nan), color="C3", linewidth=2.5, label="slips")
     place.set(xlabel="time / s", ylabel="force / N")
-    place.legend(loc="lower left", fontsize="small", ncols=3)
+    figure.legend(loc="outside upper center", fontsize="small", ncols=3)  # within it covers a slip
     return figure
 
 
