@@ -14,6 +14,7 @@ from typing import IO, Any
 
 from .errors import InputError
 
+_LINKS = 40  # that Linux follows from one to the next
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EIO}  # of the system, whatever was asked for
 
 
@@ -72,13 +73,19 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
     """The file that `path` leads to. Refuses, before any work is done for it, what `replacing` could not write.
 
     **Raises:** `hapjax.InputError` if the folder does not exist or may not be written, or if `path` is a folder, a
-    device or a pipe, which a file must not take the place of.
+    device or a pipe, which a file must not take the place of, or stands for what is already open.
     """
     try:
         target = Path(os.path.realpath(path))
         there, regular = target.exists(), target.is_file()
+        already_open = _stands_for_what_is_open(path)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be written: {error}") from error
+    if already_open:
+        raise InputError(
+            f"{path}: cannot be written: it stands for what is already open; allowed: a file's own name, "
+            "and with --json - for standard output"
+        )
     if there and not regular:
         raise InputError(f"{path}: cannot be written: it is no regular file")
     if not target.parent.is_dir():
@@ -86,6 +93,22 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
     if not os.access(target.parent, os.W_OK):
         raise InputError(f"{path}: cannot be written: the folder {target.parent} is read-only")
     return target
+
+
+def _stands_for_what_is_open(path: str | os.PathLike[str]) -> bool:
+    """Whether `path` is a link of `/proc`, or leads to one, as `/dev/stdout` does.
+
+    The file behind it may have been opened to add to it; to take its place would lose what it holds.
+    """
+    name = os.fspath(path)
+    for _ in range(_LINKS):
+        if not os.path.islink(name):
+            break
+        folder = os.path.realpath(os.path.dirname(name))
+        if folder.startswith("/proc/"):
+            return True
+        name = os.path.join(folder, os.readlink(name))
+    return False
 
 
 def check_apart(

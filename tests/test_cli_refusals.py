@@ -267,6 +267,11 @@ ARGUMENTS = [
         ["regular file"],
     ),
     (
+        ["export", "{scene}", "--to", "urdf", "--object", "cube", "--out", "{folder}/q.urdf"]
+        + ["--json", "/dev/stdout"],
+        ["/dev/stdout", "--json - "],
+    ),
+    (
         ["fit", "{both}", "--scene", "{scene}", "--free", "object.cube.surface.mu", "--prior"]
         + ["object.cube.surface.mu", "0.5", "0.1", "object.cube.surface.mu", "0.6", "0.1"],
         ["--prior", "object.cube.surface.mu", "twice"],

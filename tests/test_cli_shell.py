@@ -193,6 +193,35 @@ def test_a_program_reads_what_files_were_made_into(folder, tmp_path, monkeypatch
     assert not (folder / "nowhere").exists()
 
 
+@pytest.mark.parametrize("words", [["--json", "-"], ["--json=-"]], ids=" ".join)
+def test_figures_go_to_standard_output_and_all_else_to_stderr(words, folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    scene, out = str(folder / "cube.toml"), str(tmp_path / "cube.urdf")
+    assert main(["export", scene, "--to", "urdf", "--out", out, *words]) == 0
+    said = capsys.readouterr()
+    figures = json.loads(said.out)
+    assert figures["file"] == out
+    assert said.err.splitlines() == [*(f"hapjax: {scene}: {s}" for s in figures["left_out"]), out]
+    assert [path.name for path in tmp_path.iterdir()] == ["cube.urdf"]
+
+
+@pytest.mark.parametrize("through_a_link", [False, True])
+def test_what_is_open_is_no_place_for_figures(through_a_link, folder, tmp_path, capsys):
+    """The file that a shell opened for `>>` has lines that are to stay."""
+    kept, link = tmp_path / "kept.txt", tmp_path / "figures.json"
+    kept.write_text("earlier\n")
+    with kept.open("a") as shell:
+        place = f"/dev/fd/{shell.fileno()}"
+        link.symlink_to(place)
+        named = str(link) if through_a_link else place
+        out = tmp_path / "cube.urdf"
+        export = ["export", str(folder / "cube.toml"), "--to", "urdf", "--out", str(out)]
+        assert main([*export, "--json", named]) == 2
+    assert kept.read_text() == "earlier\n" and not out.exists()
+    said = capsys.readouterr()
+    assert said.out == "" and f"{named}: cannot be written" in said.err and "--json -" in said.err
+
+
 @pytest.mark.slow
 def test_the_example_without_an_end_works_until_it_is_ended(folder):
     pytest.importorskip("viser", reason="the viewer needs the extra viewer")

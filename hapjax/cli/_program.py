@@ -2,9 +2,13 @@
 
 import os
 import sys
+import tempfile
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from importlib.metadata import version
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NoReturn
 
 import tyro
@@ -80,15 +84,36 @@ def _run(arguments: list[str]) -> int | None:
     _check_once(arguments)
     if os.environ.get("NO_COLOR"):  # rich heeds it, tyro does not
         tyro._experimental_options["ansi_codes"] = False
-    with parse_errors.on_parse_error(_refuse):
+    with parse_errors.on_parse_error(_refuse), _figures_on_stdout(arguments) as words:
         result = tyro.extras.subcommand_cli_from_dict(
             COMMANDS,
             prog="hapjax",
             description=_ABOUT,
-            args=[_OURS.get(word, word) for word in arguments],
+            args=[_OURS.get(word, word) for word in words],
         )
     sys.stdout.flush()
     return result
+
+
+@contextmanager
+def _figures_on_stdout(arguments: list[str]) -> Iterator[list[str]]:
+    """The arguments, with a file for the `-` of `--json -`, which is printed at the end; all other words go to stderr."""
+    words = [
+        w for argument in arguments for w in (argument.split("=") if argument == "--json=-" else [argument])
+    ]
+    place = next((i for i, two in enumerate(pairwise(words)) if two == ("--json", "-")), None)
+    if place is None:
+        yield words
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "figures.json"
+        try:
+            with redirect_stdout(sys.stderr):
+                yield [*words[: place + 1], str(file), *words[place + 2 :]]
+        finally:  # also of a command that is refused or interrupted once it has figures
+            if file.exists():
+                sys.stdout.write(file.read_text())
+                sys.stdout.flush()
 
 
 def _say(sentence: str, code: int) -> int:

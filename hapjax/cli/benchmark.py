@@ -54,7 +54,7 @@ def benchmark(
         error: Of error and stability with --scene: m that the recommended integrator may be off at the end, above 0;
             absent: of error 0.0001, of stability what settles is enough.
         out: Of stability and error: folder for the page, the pictures and the CSV files. Of fit: for all estimates as CSV.
-        json: File for the figures.
+        json: File for the figures; - is standard output.
     """
     options = locals()
     from ..at_once import compute_at_once

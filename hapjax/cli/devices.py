@@ -14,7 +14,7 @@ def devices(url: str = "ws://localhost:10001", json: Path | None = None) -> None
 
     Args:
         url: Of Haply's service.
-        json: File for the list.
+        json: File for the list; - is standard output.
     """
     if json is not None:
         check_writable(json)

@@ -16,7 +16,7 @@ def doctor(rate: float = 1000.0, seconds: float = 2.0, json: Path | None = None)
     Args:
         rate: Hz of the loops, 100 to 4000.
         seconds: How long each loop runs, 0.1 to 600 s.
-        json: File for all that is said, with its figures.
+        json: File for all that is said, with its figures; - is standard output.
     """
     if json is not None:
         check_writable(json)

@@ -31,7 +31,7 @@ def export(
         to: The format.
         out: File to write (.xml for MJCF, .urdf); absent: the scene's name with that ending.
         object: Of urdf: which object; absent: the only one that moves.
-        json: File for what was written and what was left out.
+        json: File for what was written and what was left out; - is standard output.
     """
     target = scene.with_suffix(".xml" if to == "mjcf" else ".urdf") if out is None else out
     check_apart([target, json], [scene])

@@ -60,7 +60,7 @@ def fit(
         prior: PATH MEAN SD of free numbers of which something is known; of one above 0 the median, and the standard
             deviation of its logarithm.
         each: Of the free paths those that have a number of their own for each recording.
-        json: File for the figures.
+        json: File for the figures; - is standard output.
         report: Folder for the report, an HTML page.
         topic: Of ROS 2 bags: the topics of each channel, one a finger or object, such as hip=/left/tip,/right/tip
             force=/left/sensor,/right/sensor pose=/cube.

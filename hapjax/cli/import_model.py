@@ -22,7 +22,7 @@ def import_model(
         model: MJCF (.xml) or URDF file; its meshes have to be in its folder or below it.
         out: Scene file (TOML) to write; where the model has meshes, in the model's folder or above it.
         hull: Take the convex hull of each mesh, which then need not be closed.
-        json: File for the objects, with their shapes and masses.
+        json: File for the objects, with their shapes and masses; - is standard output.
     """
     if out.suffix != ".toml":  # so that neither the model nor a mesh is overwritten
         raise InputError(f"{out}: has the ending {out.suffix!r}; allowed: .toml")

@@ -17,7 +17,7 @@ def recover(recording: Positional[Path], *, out: Path | None = None, json: Path 
     Args:
         recording: MCAP file, of any recorder.
         out: File to write, which must not exist; absent: the recording's name with -recovered.
-        json: File for what was found.
+        json: File for what was found; - is standard output.
     """
     from ..recording.recovering import recover as recovering
 

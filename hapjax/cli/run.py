@@ -68,7 +68,7 @@ def run(
         host: Of --view: address of the page; on another than 127.0.0.1 anyone who reaches it can move fingers and sliders.
         port: Of --view: port of the page, 0 for any that is free.
         display: Lines a second on a terminal, 0.1 to 10.
-        json: File for the figures.
+        json: File for the figures; - is standard output.
     """
     session, tuning = need("hapjax_devices.session", "devices"), None
     check_apart([record, json], [scene, hip, devices, truth])
