@@ -107,7 +107,7 @@ def test_runs_do_not_mix():
             publish(one, range(7, 9))
             assert listening.take()["tick"].tolist() == [7, 8]
         assert {one.run, other.run} <= set(runs())
-        with pytest.raises(InputError, match=f"{one.run}.*doctor"):
+        with pytest.raises(InputError, match=f"the name {one.run} is taken, by another run"):
             TickPublisher(about(f"one-{os.getpid()}"))
     with pytest.raises(InputError, match="no run 'nowhere' is on the bus; allowed: "):
         TickReader("nowhere", patience=0.05)

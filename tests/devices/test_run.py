@@ -5,6 +5,7 @@ import os
 import re
 import signal
 import struct
+import subprocess
 import threading
 import time
 from ipaddress import ip_address
@@ -15,8 +16,10 @@ import numpy as np
 import pytest
 
 import hapjax
+from bus_cases import about, publish
 from hapjax.cli import main
-from hapjax_devices import DeviceError, TickReader
+from hapjax_devices import DeviceError, TickPublisher, TickReader
+from hapjax_devices.bus import services
 from hapjax_devices.session import supervisor
 
 TABLE = "[object.table]\nshape = 'plane'\n[object.table.surface]\nmu = 0.5\nstiffness = 1000.0\n"
@@ -259,7 +262,7 @@ def test_falcons_of_a_servo_that_was_killed_are_told_to_push_no_more(table, monk
     devices = table.parent / "devices.toml"
     falcons = [f"[[device]]\ntype = 'falcon'\nserial = '{serial}'\n" for serial in ("FT1", "FT2")]
     devices.write_text("[[device]]\ntype = 'virtual'\n" + "".join(falcons))
-    assert main(["run", str(table), "--devices", str(devices)]) == 1
+    assert main(["run", str(table), "--devices", str(devices), "--name", f"falcons-{os.getpid()}"]) == 1
     assert told == ["FT1", "FT2"]
     out, error = capfd.readouterr()
     assert out == "" and "FT1 is not attached; it may push on" in error and "SIGKILL" in error
@@ -270,7 +273,9 @@ def test_a_device_that_is_not_there_ends_it_with_a_sentence(table, tmp_path, cap
     file = tmp_path / "devices.toml"
     file.write_text("[[device]]\ntype = 'inverse3'\nurl = 'ws://127.0.0.1:9'\n")
     record = tmp_path / "a.mcap"
-    assert main(["run", str(table), "--devices", str(file), "--record", str(record), "--seconds", "1"]) == 1
+    name = f"absent-{os.getpid()}"
+    arguments = ["--devices", str(file), "--record", str(record), "--seconds", "1", "--name", name]
+    assert main(["run", str(table), *arguments]) == 1
     out, error = capfd.readouterr()
     assert error.count("\n") == 1 and "no program listens there" in error and out == ""
     assert not record.exists()
@@ -313,6 +318,81 @@ def test_what_cannot_be_is_refused_before_anything_starts(case, table, monkeypat
     assert out == "" and error.count("\n") == 1
     for word in words:
         assert word in error
+
+
+def test_a_name_that_is_taken_is_refused_before_anything_starts(table, tmp_path, monkeypatch, capsys):
+    for process in ("ServoProcess", "RecorderProcess"):
+        monkeypatch.setattr(supervisor, process, lambda *_: pytest.fail("started"))
+    name, record = f"taken-{os.getpid()}", tmp_path / "a.mcap"
+    with TickPublisher(about(name)) as publisher:
+        told = threading.Thread(target=publisher.wait_for, args=(1, 5.0))
+        told.start()
+        reader = TickReader(name)
+        told.join()
+        assert main(["run", str(table), "--name", name, "--record", str(record)]) == 2
+    assert main(["run", str(table), "--name", name, "--record", str(record)]) == 2  # it is read still
+    reader.close()
+    services.check_free(name)
+    out, error = capsys.readouterr()
+    assert out == "" and error.count(f"hapjax: the name {name} is taken") == error.count("\n") == 2
+
+
+class Refused:
+    """A servo whose name was taken while it imported."""
+
+    def __init__(self, session):
+        self._process = subprocess.Popen(["sh", "-c", "sleep 0.5; exit 2"])
+        self.pid, self.code, self.stop = self._process.pid, self._process.poll, self._process.terminate
+
+    def wait(self, timeout):
+        return self._process.wait(timeout), ()
+
+
+def test_of_two_runs_of_a_name_that_begin_at_once_one_is_refused_and_has_nothing_of_the_other(
+    table, tmp_path, monkeypatch, capfd
+):
+    """That has another number of fingers."""
+    figures, started = tmp_path / "a.json", []
+    name, of = f"both-{os.getpid()}", ["--device", "virtual", "--record", str(tmp_path / "a.mcap"), "--tune"]
+
+    class Part:
+        def __init__(self, *arguments):
+            started.append(arguments[-1])
+
+        def end(self, *patience):
+            return 2, ""
+
+        def code(self):
+            return None
+
+        said, stop = list, code
+
+    monkeypatch.setattr(
+        supervisor, "ServoProcess", lambda session: started.append(Refused(session)) or started[0]
+    )
+    for process in ("RecorderProcess", "TunerProcess"):
+        monkeypatch.setattr(supervisor, process, Part)
+    monkeypatch.setattr(supervisor.viewer, "ViewerProcess", Part)
+    monkeypatch.setattr(supervisor.viewer, "check", lambda *_: None)
+    monkeypatch.setattr(services, "check_free", lambda run: None)
+    options = ["--name", name, "--json", str(figures), "--truth", str(table), "--view", "--port", "0"]
+    with TickPublisher(about(name)) as publisher:
+        publish(publisher, range(5))
+        over = threading.Event()
+
+        def tell():
+            while not over.is_set():
+                publisher.wait_for(9, 0.05)
+
+        telling = threading.Thread(target=tell)
+        telling.start()
+        try:
+            assert main(["run", str(table), *of, *options]) == 2
+        finally:
+            over.set()
+            telling.join()
+    assert capfd.readouterr() == ("", "") and json.loads(figures.read_text())["ticks"] == 0
+    assert started[1:] == [started[0].pid] * 3
 
 
 def test_it_speaks_as_often_as_it_is_asked_to(monkeypatch, capsys):

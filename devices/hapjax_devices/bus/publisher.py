@@ -52,7 +52,7 @@ class TickPublisher:
     def __init__(self, about: About):
         self.run, self.unsent = about.run, 0
         self._node = services.join(about.run)
-        with services.said(f"the run {about.run} on the bus"):
+        with services.beginning(about.run):
             ticks = services.ticks(self._node, about.run, about.tick, about.rate).create()
             events = services.events(self._node, about.run).create()
             told = services.about(self._node, about.run).create()

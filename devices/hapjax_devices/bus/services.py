@@ -67,6 +67,35 @@ def check_name(run: str) -> None:
         raise InputError(f"run is {run!r}; allowed: up to 100 letters, digits, dots, dashes and underscores")
 
 
+def check_free(run: str) -> None:
+    """Refuse a name that is taken. **Raises:** `hapjax.InputError`."""
+    iox = iceoryx()
+    node = join("hapjax")
+    kinds = iox.MessagingPattern.PublishSubscribe, iox.ServiceType.Ipc
+    with said("shared memory"):
+        names = [iox.ServiceName.new(f"{run}/{part}") for part in ("tick", "event", "about")]
+        there = any(iox.Service.does_exist(name, config(), *kinds) for name in names)
+    del node
+    if there:
+        raise _taken(run)
+
+
+@contextmanager
+def beginning(run: str) -> Iterator[None]:
+    """Say what is refused of the services that make a run. **Raises:** `hapjax.InputError`."""
+    with said(f"the run {run} on the bus"):
+        try:
+            yield
+        except iceoryx().PublishSubscribeCreateError as error:
+            raise _taken(run) if "AlreadyExists" in str(error) else error from None
+
+
+def _taken(run: str) -> InputError:
+    return InputError(
+        f"the name {run} is taken, by another run or by who still reads one that has ended; allowed: a name that no run has"
+    )
+
+
 def ticks(node: Any, run: str, sample: np.dtype, rate: float) -> Any:
     """The service of a run's ticks, to be opened or created: the newest push out the oldest, and nobody waits."""
     return _keeping(node, f"{run}/tick", payload("Tick", sample), depth(rate))

@@ -14,7 +14,7 @@ from hapjax.files import check_writable, write_json
 from hapjax.tuning.settings import Tuning
 
 from .. import viewer
-from ..bus import TickReader
+from ..bus import TickReader, services
 from ..device import DeviceError
 from ..falcon import let_go
 from ..recorder import RecorderProcess
@@ -47,7 +47,7 @@ def supervise(
     a terminal, 0.1 to 10; `file` for the figures; `tuning`, what is to be estimated meanwhile: it is handed over at
     SIGUSR1, and where Enter is pressed in the terminal; `view`, host and port of a viewer's page.
 
-    **Raises:** `InputError`, before anything is started.
+    **Raises:** `InputError`, before anything is started, also where another run has the name.
     """
     if not 0.1 <= display <= 10:
         raise InputError(f"display is {display} lines a second; allowed: 0.1 to 10")
@@ -59,6 +59,7 @@ def supervise(
         check_writable(file)
     if view is not None:
         viewer.check(*view)
+    services.check_free(session.run)
     with _asked() as asked:
         watch = _Watch(session, record, Display(display if sys.stdout.isatty() else 0.0), tuning, view)
         code = watch.until(asked)
