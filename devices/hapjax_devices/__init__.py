@@ -14,6 +14,7 @@ from .device import Device as Device
 from .device import DeviceClosed as DeviceClosed
 from .device import DeviceError as DeviceError
 from .device import GimbalDevice as GimbalDevice
+from .device import HoldingDevice as HoldingDevice
 from .device import RecoverableDevice as RecoverableDevice
 from .doctor import Check as Check
 from .doctor import examine as examine

@@ -62,6 +62,15 @@ class RecoverableDevice(Device, Protocol):
 
 
 @runtime_checkable
+class HoldingDevice(Device, Protocol):
+    """A device whose `read` may answer with a position from before, as one does that is slower than the loop."""
+
+    def forget(self) -> None:
+        """The next `read` answers where the finger is then: no force was put out for a while, and it has moved."""
+        ...
+
+
+@runtime_checkable
 class GimbalDevice(Device, Protocol):
     """A device whose thimble hangs in an instrumented gimbal; a scene whose torsion is a gimbal needs them."""
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from .device import Device, DeviceError, RecoverableDevice
+from .device import Device, DeviceError, HoldingDevice, RecoverableDevice
 from .event import Diary
 from .safety import Safety
 
@@ -59,6 +59,13 @@ class Fingers:
 
     def __exit__(self, *exception) -> None:
         self._opened.__exit__(*exception)
+
+    def let_in(self) -> None:
+        """The next force of each finger is none, and the first of one that is let in, from where it is then."""
+        self._safety.cut_all()
+        for device in self._devices:
+            if isinstance(device, HoldingDevice):
+                device.forget()
 
     @property
     def down(self) -> int:

@@ -165,7 +165,7 @@ def run(
         refused = stack.enter_context(undisturbed() if realtime else nullcontext([]))
         stack.enter_context(fingers.let_go())
         check = stack.enter_context(ending.between())
-        watch = _Watch(rate if realtime else None, overrun, safety, diary, check)
+        watch = _Watch(rate if realtime else None, overrun, fingers, safety, diary, check)
         _loop(packed, fingers, hip, gimbals, watch, control, log, bus, inbox, stopped)
     diary.end()
     recording = log.recording()
@@ -203,6 +203,7 @@ def _loop(
     inputs = (hip, angle) if gimbals else (hip,)
     output = np.zeros((packed.fingers, 3))
     # Compiling has taken seconds: where the fingers are now is where they begin.
+    fingers.let_in()
     _read(0, fingers, gimbals, hip, angle)
     memory = packed.begin(*inputs)
     if control is not None:
@@ -252,16 +253,22 @@ def _read(tick: int, fingers: Fingers, gimbals, hip, angle) -> None:
 class _Watch:
     """Waits for each tick, and sees to it that what goes wrong is counted and answered.
 
-    **Arguments:** `rate` in Hz, `None`: nothing is waited for; `most` deadlines that may be missed at once; `safety`;
-    `diary`; `check`, which ends the loop where it has to.
+    **Arguments:** `rate` in Hz, `None`: nothing is waited for; `most` deadlines that may be missed at once; `fingers`,
+    which are let in anew after more; `safety`; `diary`; `check`, which ends the loop where it has to.
 
     **Attributes:** `overrun`, `lost`: at how many ticks so far.
     """
 
     def __init__(
-        self, rate: float | None, most: int, safety: Safety, diary: Diary, check: Callable[[], None]
+        self,
+        rate: float | None,
+        most: int,
+        fingers: Fingers,
+        safety: Safety,
+        diary: Diary,
+        check: Callable[[], None],
     ):
-        self._rate, self._most, self._check = rate, most, check
+        self._rate, self._most, self._fingers, self._check = rate, most, fingers, check
         self._pacer: Pacer | None = None
         self.safety, self.diary = safety, diary
         self.overrun = self.lost = 0
@@ -290,7 +297,7 @@ class _Watch:
             self.diary.count("missed", by=missed)
         if missed > self._most:
             self.overrun += 1
-            self.safety.cut_all()
+            self._fingers.let_in()
             self.diary.count("overrun")
         return late, began
 

@@ -5,6 +5,7 @@ import os
 import threading
 import time
 from dataclasses import replace
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +15,7 @@ import hapjax
 import hapjax_devices as devices
 from hapjax import Body, Box, Contact, InputError, Object, Plane, Scene, Surface, World
 from hapjax_devices import servo
+from hapjax_devices.session.slower import Slower
 from hapjax_devices.virtual import FORCE_STEP
 
 
@@ -190,7 +192,7 @@ def broken_step(monkeypatch, after, answer):
             memory = packed.call(memory, hip)
             return memory if next(calls, None) is not None else answer(memory)
 
-        return replace(packed, call=call)
+        return replace(packed, call=partial(call))
 
     monkeypatch.setattr(hapjax, "pack", pack)
 
@@ -252,11 +254,14 @@ def test_a_device_that_fails_when_it_is_let_go_costs_nothing_but_itself():
 
 
 class Slow(Watched):
-    """A device that once takes as many ticks as that for an answer."""
+    """A device that once takes as many ticks as that for an answer, and counts how often it is to forget where it was."""
 
     def __init__(self, place, ticks):
         super().__init__(place)
-        self.ticks = ticks
+        self.ticks, self.forgot = ticks, 0
+
+    def forget(self):
+        self.forgot += 1
 
     def write(self, force):
         if len(self.written) == 30:
@@ -282,6 +287,7 @@ def test_after_too_many_missed_ticks_the_next_force_is_none_and_rises(late):
     assert result.overrun == (late > 3) and result.safety[0].ramped == 5 * (1 + (late > 3))
     kinds = {event.kind: event.tick for event in result.events if "begins" in event.sentence}
     assert kinds.get("overrun") == (31 if late > 3 else None) and kinds["missed"] == 31
+    assert device.forgot == 1 + (late > 3)  # once at the first tick
 
 
 def test_fingers_begin_where_they_are_at_the_first_tick():
@@ -296,11 +302,12 @@ def test_fingers_begin_where_they_are_at_the_first_tick():
 
     scene = Scene(object={"wall": Object(Plane(), Surface(800.0, mu=0.5, damping=1.0))})
     scene = hapjax.cast(scene, jnp.float32)
-    device = Moved((0.0, 0.0, -0.0025))
-    device.force_limit = 8.0
-    recording = devices.run(scene, [device], 0.01, realtime=False).recording
+    moved = [Moved((0.0, 0.0, -0.0025)) for _ in range(2)]
+    fingers = [moved[0], Slower(moved[1], 200.0, 1000.0)]
+    recording = devices.run(scene, fingers, 0.01, realtime=False, limits=RISING).recording
     assert recording.model_force is not None
-    np.testing.assert_allclose(recording.model_force, np.tile([0.0, 0.0, 2.0], (10, 1, 1)), atol=1e-6)
+    np.testing.assert_allclose(recording.model_force, np.tile([0.0, 0.0, 2.0], (10, 2, 1)), atol=1e-6)
+    assert moved[1].written[1][2] == pytest.approx(0.6)  # let in 3 ticks before
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ from ..device import Device, GimbalDevice, RecoverableDevice
 
 
 class Slower:
-    """A device that is read and written at a rate of its own, its position held in between; see `Device`.
+    """A `HoldingDevice`: a device that is read and written at a rate of its own, its position held in between.
 
-    A force that is none is passed on at once. What else the device can do (come back after a fault, read a gimbal), this
+    A force that ends is passed on at once. What else the device can do (come back after a fault, read a gimbal), this
     can.
 
     **Arguments:** the `device`; its `rate` in Hz, above 0 and at most that of the loop; the loop's rate, `of`, in Hz.
@@ -34,15 +34,19 @@ class Slower:
         self._share = rate / of
         # As the device's own, for a loop asks whether a device has them.
         if isinstance(device, RecoverableDevice):
-            self.recover = device.recover
+            self.recover = self._recover
         if isinstance(device, GimbalDevice):
             self.read_gimbal = self._read_gimbal
-        self._forget()
+        self._begin()
 
     def open(self) -> None:
         """Open the device; see `Device.open`."""
         self.device.open()
-        self._forget()
+        self._begin()
+
+    def forget(self) -> None:
+        """The next read is of the device itself; see `HoldingDevice.forget`."""
+        self._position = None
 
     def read(self) -> Float[np.ndarray, "3"]:
         """Where the device was when it was last due; see `Device.read`."""
@@ -58,7 +62,7 @@ class Slower:
 
     def write(self, force: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """Push from the next turn on; returns what is put out now. See `Device.write`."""
-        if self._due or not np.any(force):
+        if self._due or (np.any(self._output) and not np.any(force)):
             self._output = self.device.write(force)
         return self._output
 
@@ -73,9 +77,14 @@ class Slower:
     def __exit__(self, *exception) -> None:
         self.close()
 
+    def _recover(self) -> bool:
+        assert isinstance(self.device, RecoverableDevice)
+        self.forget()
+        return self.device.recover()
+
     def _read_gimbal(self) -> float:
         return self._angle
 
-    def _forget(self) -> None:
-        self._turns, self._due, self._position = 0.0, True, None
-        self._output, self._angle = np.zeros(3), 0.0
+    def _begin(self) -> None:
+        self._turns, self._due, self._output, self._angle = 0.0, True, np.zeros(3), 0.0
+        self.forget()
