@@ -32,7 +32,7 @@ def as_type(mesh, dtype):
 
 @jax.jit
 def closest(shape, queries):
-    return jax.lax.map(shape.closest, queries, batch_size=500)
+    return jax.vmap(shape.closest)(queries)  # in batches, what is left over would be compiled a second time
 
 
 @well_compiled
@@ -94,22 +94,42 @@ def singular_points():
     )
 
 
+def moved_answer(start, query, scale, vertices):
+    """The nearest point, its normal and depth; what holds a point come from `start`, its normal, depth and shares."""
+    moved = eqx.tree_at(lambda m: (m.scale, m.vertices), mesh_of("notched"), (scale, vertices))
+    near, (_, held) = moved.closest(query), moved.follow(_outside(start), query)
+    share = jnp.sum(held.corner.weights)  # in the order of the planes there is no meaning
+    last = jnp.stack([held.depth, share])
+    return jnp.concatenate([near.point, near.normal, near.depth[None], held.point, held.normal, last])
+
+
+CONCAVE = [(0.015, 0.03, 0.033), (0.018, 0.017, 0.03), (0.018, 0.017, 0.016)]
+
+
+@functools.cache
+def slopes():
+    """By query, scale and vertices, forward and reverse: at the singular points, and on CONCAVE."""
+    mesh, singular = mesh_of("notched"), singular_points()
+    queries = jnp.concatenate([singular, jnp.asarray(CONCAVE @ TILT.T)])
+    aside = jnp.broadcast_to(jnp.asarray(TILT @ [0.03, 0.031, 0.032]), (len(CONCAVE), 3))
+    starts, by = jnp.concatenate([singular, aside]), (1, 2, 3)
+
+    @jax.jit
+    def both(starts, queries, scale, vertices):
+        modes = [jacobian(moved_answer, by) for jacobian in (jax.jacfwd, jax.jacrev)]
+        return [jax.vmap(mode, (0, 0, None, None))(starts, queries, scale, vertices) for mode in modes]
+
+    return jax.tree.map(np.asarray, both(starts, queries, mesh.scale, mesh.vertices))
+
+
 @pytest.mark.slow
 def test_singular_points_have_a_unit_normal_and_finite_gradients():
-    mesh = mesh_of("notched")
-
-    def answer(query, scale, vertices):
-        moved = eqx.tree_at(lambda m: (m.scale, m.vertices), mesh, (scale, vertices))
-        near, (_, held) = moved.closest(query), moved.follow(_outside(query), query)
-        return jnp.concatenate([near.point, near.normal, near.depth[None], held.point, held.depth[None]])
-
-    near = closest(mesh, singular_points())
+    near = closest(mesh_of("notched"), singular_points())
     np.testing.assert_allclose(np.linalg.norm(near.normal, axis=1), 1, atol=1e-12)
     np.testing.assert_allclose(near.depth, 0, atol=1e-16)
-    for jacobian in (jax.jacfwd, jax.jacrev):
-        slopes = jax.jit(jax.vmap(jacobian(answer, (0, 1, 2)), (0, None, None)))
-        for leaf in slopes(singular_points(), mesh.scale, mesh.vertices):
-            assert np.all(np.isfinite(leaf))
+    for mode in slopes():
+        for leaf in mode:
+            assert np.all(np.isfinite(leaf[: len(singular_points())]))
 
 
 # First touch ----------------------------------------------------------------------------------------------
@@ -383,33 +403,30 @@ def test_a_triangle_can_have_a_mu_of_its_own():
 # Derivatives ----------------------------------------------------------------------------------------------
 
 
+@functools.cache
+def each_answer():
+    return jax.jit(jax.vmap(moved_answer))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("local", [(0.015, 0.03, 0.033), (0.018, 0.017, 0.03), (0.018, 0.017, 0.016)])
-def test_gradients_are_those_of_differences(local):
+@pytest.mark.parametrize("place", range(len(CONCAVE)))
+def test_gradients_are_those_of_differences(place):
     """On a plane, in a concave edge and in a concave corner."""
-    mesh = mesh_of("notched")
-    start, query = jnp.asarray(TILT @ [0.03, 0.031, 0.032]), jnp.asarray(TILT @ local)
-
-    @jax.jit
-    def answer(query, scale, vertices):
-        moved = eqx.tree_at(lambda m: (m.scale, m.vertices), mesh, (scale, vertices))
-        _, held = moved.follow(_outside(start), query)
-        share = jnp.sum(held.corner.weights)  # in the order of the planes there is no meaning
-        return jnp.concatenate([held.point, held.normal, jnp.stack([held.depth, share])])
-
-    at = (query, mesh.scale, mesh.vertices)
-    forward = jax.jacfwd(answer, (0, 1, 2))(*at)
-    reverse = jax.jacrev(answer, (0, 1, 2))(*at)
-    rng = np.random.default_rng(4)
-    for i, point in enumerate(at):
+    mesh, rng = mesh_of("notched"), np.random.default_rng(4)
+    start, query = (jnp.asarray(TILT @ x) for x in ([0.03, 0.031, 0.032], CONCAVE[place]))
+    at = [np.asarray(x) for x in (query, mesh.scale, mesh.vertices)]
+    forward, reverse = ([leaf[len(singular_points()) + place] for leaf in mode] for mode in slopes())
+    # What is flat stays flat: where a plane breaks up into two, which of them hold is no smooth matter.
+    turns = rng.normal(size=(3, 3)), rng.normal(), rng.normal(size=(3, 3))
+    ways = [at[0] @ turns[0], np.asarray(turns[1]), at[2] @ turns[2]]
+    moves = [[h * way * (i == j) for j, way in enumerate(ways)] for i in range(3) for h in (1e-7, -1e-7)]
+    ends = [jnp.asarray(np.stack([x + move[j] for move in moves])) for j, x in enumerate(at)]
+    sides = np.asarray(each_answer()(jnp.broadcast_to(start, (6, 3)), *ends))
+    for i, way in enumerate(ways):
         np.testing.assert_allclose(forward[i], reverse[i], atol=1e-9)
-        # What is flat stays flat: where a plane breaks up into two, which of them hold is no smooth matter.
-        ways = rng.normal(size=(3, 3)), rng.normal(), rng.normal(size=(3, 3))
-        way = jnp.asarray(point @ ways[i] if i != 1 else ways[i])
-        sides = [answer(*at[:i], point + h * way, *at[i + 1 :]) for h in (1e-7, -1e-7)]
-        slope = np.tensordot(np.asarray(forward[i]), np.asarray(way), point.ndim)
-        np.testing.assert_allclose(slope, (sides[0] - sides[1]) / 2e-7, atol=1e-4, rtol=1e-5)
-    assert all(np.any(np.asarray(leaf) != 0) for leaf in forward)
+        slope = np.tensordot(forward[i], way, way.ndim)
+        np.testing.assert_allclose(slope, (sides[2 * i] - sides[2 * i + 1]) / 2e-7, atol=1e-4, rtol=1e-5)
+    assert all(np.any(leaf != 0) for leaf in forward)
 
 
 # The price ------------------------------------------------------------------------------------------------
