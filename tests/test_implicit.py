@@ -1,7 +1,9 @@
 """The fully implicit step: it settles whatever the stiffness and the step, and is right where they are small."""
 
 import dataclasses
+import functools
 from itertools import product
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -215,37 +217,55 @@ GRADIENTS = {
 }
 
 
+def chosen(scene):
+    """The numbers by which the derivatives are taken."""
+    contacts = [x for pair in scene.contact.values() for x in (pair.stiffness, pair.mu, pair.damping)]
+    return [*contacts, scene.object["cube"].body.mass, scene.world.gravity, scene.integrator.dt]
+
+
+def swayed(x, scene, velocity):
+    """How the cube moves and what presses it after 40 steps, each chosen number p being p (1 + x)."""
+    flat, unravel = ravel_pytree(chosen(scene))
+    now = eqx.tree_at(chosen, scene, unravel(flat * (1 + x)))
+    start = moving(hapjax.init(now, away(1)[0]), "cube", velocity=velocity)
+    # Not rollout, whose reverse mode computes each step once more, and takes longer to compile.
+    end, replies = jax.lax.scan(lambda s, hip: hapjax.step(now, s, hip), start, away(40))
+    last = jnp.concatenate([touch.force[-1] for touch in replies.contact.values()])
+    forces = jnp.sum(last * jnp.arange(1.0, 4.0)[None])
+    motion: Any = end.motion["cube"]
+    return jnp.concatenate([10 * motion.position, motion.velocity, motion.spin / 10, forces[None]])
+
+
+@jax.jit
+@functools.partial(jax.vmap, in_axes=(0, 0, None, None))
+def pushed(x, way, scene, velocity):
+    """What `swayed` gives, and its derivative along a way: one program for forward mode and differences."""
+    return jax.jvp(lambda x: swayed(x, scene, velocity), (x,), (way,))
+
+
+pulled = jax.jit(jax.jacrev(swayed))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("case", GRADIENTS)
 def test_gradients_are_those_of_differences(case):
     build, velocity = GRADIENTS[case]
-    scene = build()
-    chosen = lambda s: [  # noqa: E731
-        *(x for pair in s.contact.values() for x in (pair.stiffness, pair.mu, pair.damping)),
-        *(s.object["cube"].body.mass, s.world.gravity, s.integrator.dt),
-    ]
-    flat, unravel = ravel_pytree(chosen(scene))
-
-    def f(x):
-        now = eqx.tree_at(chosen, scene, unravel(flat * (1 + x)))
-        start = moving(hapjax.init(now, away(1)[0]), "cube", velocity=velocity)
-        end, replies = hapjax.rollout(now, start, away(40))
-        last = jnp.concatenate([touch.force[-1] for touch in replies.contact.values()])
-        forces = jnp.sum(last * jnp.arange(1.0, 4.0)[None])
-        motion = end.motion["cube"]
-        return jnp.concatenate([10 * motion.position, motion.velocity, motion.spin / 10, forces[None]])
-
-    x = jnp.zeros_like(flat)
-    forward, reverse = (np.asarray(jax.jit(jac(f))(x)) for jac in (jax.jacfwd, jax.jacrev))
+    scene, velocity = build(), jnp.array(velocity)
+    size = len(ravel_pytree(chosen(scene))[0])
+    # Each number by itself at 0; then along ways on which all of them move, at points to either side of 0.
+    ways = np.random.default_rng(1).choice([-1.0, 1.0], (3, size))
+    steps = np.array([1e-4, 1e-5, 1e-6])[:, None] * np.array([-2, -1, 1, 2])
+    places = np.concatenate([np.zeros((size, size)), (steps[..., None, None] * ways).reshape(-1, size)])
+    along = np.concatenate([np.eye(size), np.zeros((len(places) - size, size))])
+    values, slopes = map(np.asarray, pushed(jnp.asarray(places), jnp.asarray(along), scene, velocity))
+    forward, reverse = slopes[:size].T, np.asarray(pulled(jnp.zeros(size), scene, velocity))
     scale = np.abs(forward).max()
     np.testing.assert_allclose(forward, reverse, atol=1e-9 * scale)
-    batch = jax.jit(jax.vmap(f))
-    found = []
-    for step in (1e-4, 1e-5, 1e-6):
-        offsets = step * np.array([-2, -1, 1, 2])[:, None, None] * np.eye(len(flat))
-        values = np.asarray(batch(jnp.asarray(offsets.reshape(-1, len(flat))))).reshape(4, len(flat), -1)
-        found.append(np.tensordot(np.array([1, -8, 8, -1]) / (12 * step), values, axes=1).T)
-    off = np.min([np.abs(forward - numeric) for numeric in found], axis=0)
+    values = values[size:].reshape(3, 4, len(ways), -1)
+    found = [
+        np.tensordot([1, -8, 8, -1], v, axes=1) / (12 * h) for v, h in zip(values, steps[:, 2], strict=True)
+    ]
+    off = np.min([np.abs(ways @ forward.T - numeric) for numeric in found], axis=0)
     assert off.max() < 1e-5 * scale
 
 
@@ -257,9 +277,12 @@ def test_from_exactly_on_the_floor_derivatives_are_those_of_one_side(damping):
         state = hapjax.rollout(scene, start, away(10))[0].motion["cube"]
         return jnp.concatenate([state.position, state.velocity, state.spin])
 
-    end, z, step = jax.jit(end), jnp.array(EDGE / 2), 1e-9
-    forward, reverse = jax.jit(jax.jacfwd(end))(z), jax.jit(jax.jacrev(end))(z)
-    above, below = (end(z + step) - end(z)) / step, (end(z) - end(z - step)) / step
+    step, ones = 1e-9, jnp.ones(3)
+    places = EDGE / 2 + step * jnp.array([0.0, 1.0, -1.0])
+    pushed = jax.jit(jax.vmap(lambda z, one: jax.jvp(end, (z,), (one,))))
+    (here, high, low), (forward, *_) = map(np.asarray, pushed(places, ones))
+    reverse = jax.jit(jax.jacrev(end))(places[0])
+    above, below = (high - here) / step, (here - low) / step
     np.testing.assert_allclose(forward, reverse, atol=1e-9)
     off = [np.abs(forward - side).max() for side in (above, below)]
     assert min(off) < 1e-5 * np.abs(forward).max()
