@@ -15,6 +15,7 @@ from helpers import G, away, matrix, quaternion, well_compiled
 
 mujoco: Any = pytest.importorskip("mujoco")
 MASS, MU, STIFFNESS = 0.2, 0.5, 5000.0
+HELD, SLIPS = np.arctan(0.95 * MU), np.arctan(1.05 * MU)
 # A prism with a step in it: not convex, and its centre beside the middle.
 STEP = np.array([(0, 0), (0.06, 0), (0.06, 0.02), (0.03, 0.02), (0.03, 0.05), (0, 0.05)])
 TETRAHEDRON = 0.05 * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.2, 0.2, 1)])
@@ -40,11 +41,11 @@ SHAPES: dict[str, tuple[Any, float, int, bool]] = {
 }
 
 
-def dropped(kind, height=0.005, **options) -> hapjax.Scene:
+def dropped(kind, height=0.005, damping: float | None = 2.0, **options) -> hapjax.Scene:
     """An object a little above a floor."""
     shape, low, _, turns = SHAPES[kind]
     body = hapjax.Body(MASS, rotation=turns)
-    pair = hapjax.Contact(STIFFNESS, mu=MU, damping=2.0, between=("thing", "floor"))
+    pair = hapjax.Contact(STIFFNESS, mu=MU, damping=damping, between=("thing", "floor"))
     objects = {"thing": hapjax.Object(shape, None, body, (0.1, 0, low + height))}
     objects["floor"] = hapjax.Object(hapjax.Plane())
     return hapjax.Scene(
@@ -55,10 +56,14 @@ def dropped(kind, height=0.005, **options) -> hapjax.Scene:
 class Run:
     """A model in MuJoCo, from a file that was written."""
 
-    def __init__(self, scene, path):
+    def __init__(self, scene, path, own_floor=False):
         self.left_out = hapjax.save_mjcf(scene, path)
-        self.model = mujoco.MjModel.from_xml_path(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
+        if own_floor:
+            spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
+        self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, self.data)
 
     def go(self, seconds, tilt=0.0, ramp=False):
         """Go on with gravity tilted by an angle, reached bit by bit where it is a ramp; how far things moved in x (m)."""
@@ -80,11 +85,62 @@ def test_what_is_dropped_comes_to_rest_and_slips_at_mu(kind, tmp_path):
     # Where the points do not stand evenly about the centre, the origin sinks in more or less than their mean.
     share = 0.05 if kind not in ("convex", "mesh") else 0.9
     assert low - thing.xpos[2] == pytest.approx(MASS * G / (points * STIFFNESS), rel=share)
-    held, slips = np.arctan(0.95 * MU), np.arctan(1.05 * MU)
-    run.go(1.0, held, ramp=True)
-    assert run.go(0.5, held) < 1e-3
-    run.go(0.1, slips)
-    assert run.go(0.5, slips) > 0.9 * 0.5 * 0.5**2 * G * (np.sin(slips) - MU * np.cos(slips))
+    run.go(1.0, HELD, ramp=True)
+    assert run.go(0.5, HELD) < 1e-3
+    run.go(0.1, SLIPS)
+    assert run.go(0.5, SLIPS) > 0.9 * 0.5 * 0.5**2 * G * (np.sin(SLIPS) - MU * np.cos(SLIPS))
+
+
+def holds_and_slips(run, kind):
+    """Whether it rests as deep as here, and slips at mu, however the slope comes."""
+    run.go(1.5)
+    _, low, points, _ = SHAPES[kind]
+    depth = low - run.data.body("thing").xpos[2]
+    assert depth == pytest.approx(MASS * G / (points * STIFFNESS), rel=0.05)
+    assert run.go(0.5, HELD, ramp=True) < 2e-4 and abs(run.go(0.3, HELD)) < 1e-5
+    run.go(1.0)
+    assert run.go(0.5, HELD) < 1e-3 and abs(run.go(0.3, HELD)) < 1e-5
+    run.go(0.1, SLIPS)
+    assert run.go(0.3, SLIPS) > 0.9 * 0.5 * 0.3**2 * G * (np.sin(SLIPS) - MU * np.cos(SLIPS))
+
+
+@pytest.mark.parametrize("kind", ["box", "cylinder", "sphere"])
+@pytest.mark.parametrize("damping", [None, 0.5, 2.0, 30.0])
+def test_a_slope_that_comes_at_once_is_held_with_any_damping(kind, damping, tmp_path):
+    scene = dropped(kind, height=0.001, damping=damping)
+    holds_and_slips(Run(scene, tmp_path / "scene.xml"), kind)
+
+
+@pytest.mark.parametrize("damping", [None, 0.5, 30.0])
+def test_a_surface_holds_on_a_floor_of_the_users(damping, tmp_path):
+    thing, surface = dropped("box", height=0.001), hapjax.Surface(STIFFNESS, mu=MU, damping=damping)
+    box = hapjax.Object(thing.object["thing"].shape, surface, hapjax.Body(MASS), (0, 0, 0.021))
+    scene = hapjax.Scene({"thing": box}, world=thing.world)
+    holds_and_slips(Run(scene, tmp_path / "scene.xml", own_floor=True), "box")
+
+
+def test_a_cube_put_on_a_slope_comes_to_rest(tmp_path):
+    """It sinks in, and slips each time that it is light: by 7 mm here, with a step as short as there."""
+    cube = hapjax.Object(hapjax.Box((0.06, 0.06, 0.06)), None, hapjax.Body(0.1), (0, 0, 0.03))
+    scene = dropped("box", damping=0.5)
+    run = Run(
+        hapjax.Scene({**scene.object, "thing": cube}, scene.contact, world=scene.world), tmp_path / "s.xml"
+    )
+    assert run.go(1.0, HELD) < 7e-3
+    assert abs(run.go(0.5, HELD)) < 1e-5
+
+
+@pytest.mark.parametrize("damping", [None, 0.1])
+def test_the_least_damping_is_told(damping, tmp_path):
+    run = Run(dropped("box", damping=damping), tmp_path / "scene.xml")
+    given = "none" if damping is None else "0.1 s/m"
+    assert run.left_out == (
+        f"contact.thing_on_floor.damping is {given}, with which little rests there: 0.5 s/m is written",
+    )
+    assert f"<!-- {run.left_out[0]} -->" in (tmp_path / "scene.xml").read_text()
+    as_written = Run(dropped("box", damping=0.5), tmp_path / "other.xml")
+    assert as_written.left_out == ()
+    assert (run.model.pair_solref == as_written.model.pair_solref).all()
 
 
 @pytest.mark.parametrize("kind", ["box", "mesh"])
@@ -135,7 +191,6 @@ def test_a_given_centre_and_place_are_kept(tmp_path):
         2 * turn,
     )
     run = Run(hapjax.Scene({"thing": thing}), tmp_path / "scene.xml")
-    mujoco.mj_forward(run.model, run.data)
     place, body = run.data.body("thing"), run.model.body("thing")
     assert place.xpos == pytest.approx([1, 2, 3]) and place.xquat == pytest.approx(turn)
     assert place.xipos == pytest.approx([1, 2, 3] + matrix(turn) @ [1e-3, 2e-3, 3e-3])
@@ -161,7 +216,7 @@ def test_only_named_pairs_touch_and_a_finger_feels_surfaces(tmp_path):
         "one": hapjax.Object(ball, None, hapjax.Body(MASS)),
         "two": hapjax.Object(ball, None, hapjax.Body(3 * MASS), (0.02, 0, 0)),
     }
-    pair = hapjax.Contact(STIFFNESS, mu=MU, between=("one", "two"))
+    pair = hapjax.Contact(STIFFNESS, mu=MU, damping=0.5, between=("one", "two"))
     scene = hapjax.Scene(objects, {"pair": pair}, torsion=hapjax.SoftFinger(2e-3, 0.1))
     assert hapjax.save_mjcf(scene, tmp_path / "scene.xml") == ()
     spec = mujoco.MjSpec.from_file(str(tmp_path / "scene.xml"))
@@ -173,10 +228,10 @@ def test_only_named_pairs_touch_and_a_finger_feels_surfaces(tmp_path):
     felt = next(c for c in data.contact if "felt" in [model.geom(g).name for g in c.geom])
     assert felt.friction[[0, 2]] == pytest.approx([0.4, 2e-3]) and felt.dim == 4
     # Held by the finger from above it yields by weight / stiffness; 1/m counts both balls of a pair.
-    assert felt.solref == pytest.approx(
-        mujoco_solref(800.0, 1 / MASS, 0.4 / (3 * np.pi) * np.sqrt(800 / MASS))
-    )
-    assert model.pair_solref[0] == pytest.approx(mujoco_solref(STIFFNESS, 1 / MASS + 1 / (3 * MASS), 0.0))
+    damping, both = 0.4 / (3 * np.pi) * np.sqrt(800 / MASS), 1 / MASS + 1 / (3 * MASS)
+    assert felt.solref == pytest.approx(mujoco_solref(800.0, 1 / MASS, damping, felt.solimp[0]))
+    damping = 0.2 / (3 * np.pi) * np.sqrt(STIFFNESS * both)
+    assert model.pair_solref[0] == pytest.approx(mujoco_solref(STIFFNESS, both, damping, 0.01))
 
 
 def test_a_finger_presses_with_the_stiffness_of_the_surface(tmp_path):
@@ -239,7 +294,8 @@ def test_what_has_no_word_is_told(tmp_path):
     of_box = ["tangential_stiffness", "anisotropy", "finger_mu", "mu_kinetic", "friction", "mu"]
     told = [sentence.split(" ")[0] for sentence in hapjax.save_mjcf(scene, tmp_path / "scene.xml")]
     expected = ["torsion", "world.dead_band", *(f"object.box.surface.{each}" for each in of_box)]
-    assert told == [*expected, "object.wall.shape", "object.wall.surface.stiffness"]
+    of_wall = ["object.wall.shape", "object.wall.surface.stiffness"]
+    assert told == [*expected, *of_wall, "object.box.surface.damping"]
     geom = ET.parse(tmp_path / "scene.xml").getroot().find("worldbody/body/geom")
     assert geom is not None and float(geom.attrib["friction"].split()[0]) == pytest.approx(0.55)
     mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))

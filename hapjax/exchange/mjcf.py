@@ -1,23 +1,34 @@
 """Scenes as MJCF, for MuJoCo."""
 
+import math
 import os
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 
 import numpy as np
 
 from ..body import Body, centre_within, inertia_of
+from ..contact import Contact
 from ..scene import Object, Scene
 from ..shape import Box, Capsule, Cylinder, Mesh, Plane, Shape, Sphere
 from ..surface import Surface
 from ..torsion import SoftFinger
 from .left_out import left_out_of_scene, left_out_of_surface
 from .markup import document, model_path, words
-from .softness import IMPEDANCE, linear_damping, mujoco_solref, one_mu
+from .softness import (
+    IMPEDANCE,
+    LEAST_DAMPING,
+    friction_damping,
+    geom_impedance,
+    linear_damping,
+    mujoco_solref,
+    one_mu,
+)
 from .wavefront import mesh_name, replacing_with_meshes
 
-_SHORTEST = (
-    0.2  # rad of a contact's swing in a time step: MuJoCo takes the spring at the beginning of the step
-)
+# Of a contact in a time step, whose spring and damper MuJoCo takes at its beginning: rad of its swing, and how much of its
+# speed a point loses. A body on many points, or on points far out, has up to twenty times the latter.
+_SWING, _LOSS = 0.2, 0.1
 
 
 def save_mjcf(scene: Scene, path: str | os.PathLike[str]) -> tuple[str, ...]:
@@ -25,18 +36,20 @@ def save_mjcf(scene: Scene, path: str | os.PathLike[str]) -> tuple[str, ...]:
 
     A contact becomes a `pair`; what is not named in one passes through, as in the scene. A surface becomes the geom's own
     friction and softness, which win over those of whatever else is put into the model. Stiffness is mapped by
-    `K = (1 - d) k A`, damping by `B = c (g + 4 v w / (3 pi))`, as `solref="-K -B"` with the impedance d = 0.1, where
-    A = 1/m1 + 1/m2, w^2 = k A and v = 0.1 m/s; mu is MuJoCo's sliding friction on an elliptic cone.
+    `K = (1 - d) k A`, damping by `B = c (g + 4 v w / (3 pi))`, as `solref="-K -B"`, where A = 1/m1 + 1/m2, w^2 = k A,
+    v = 0.1 m/s and c is at least 0.5 s/m. The impedance d is 0.01 in a pair and 2 B dt in a geom; mu is MuJoCo's sliding
+    friction on an elliptic cone, which halves what slips in each time step.
 
     **Arguments:** `path`: a file ending in `.xml`.
 
-    **Returns:** what of the scene MJCF has no word for, a sentence each.
+    **Returns:** what of the scene MJCF has no word for, a sentence each. They stand in the file, too, as comments.
 
     **Raises:** `InputError` where a file cannot be written.
     """
     path = model_path(path, ".xml")
-    root = ET.Element("mujoco", model=path.stem)
-    _options(root, scene)
+    root, step, left_out = ET.Element("mujoco", model=path.stem), _time_step(scene), tuple(_left_out(scene))
+    root.extend(ET.Comment(f" {sentence} ") for sentence in left_out)
+    _options(root, scene, step)
     meshes = [name for name, thing in scene.object.items() if isinstance(thing.shape, Mesh)]
     if meshes:
         assets = ET.SubElement(root, "asset")
@@ -44,36 +57,49 @@ def save_mjcf(scene: Scene, path: str | os.PathLike[str]) -> tuple[str, ...]:
             ET.SubElement(assets, "mesh", name=name, file=mesh_name(path, name))
     world = ET.SubElement(root, "worldbody")
     for name, thing in scene.object.items():
-        _body(world, scene, name, thing)
+        _body(world, scene, name, thing, step)
     if scene.contact:
-        _pairs(ET.SubElement(root, "contact"), scene)
+        _pairs(ET.SubElement(root, "contact"), scene, step)
     with replacing_with_meshes(path, scene.object.items()) as file:
         file.write(document(root))
-    return tuple(_left_out(scene))
+    return left_out
 
 
-def _options(root: ET.Element, scene: Scene) -> None:
-    gravity = (0, 0, 0) if scene.world.gravity is None else scene.world.gravity
-    step = float(scene.integrator.dt) / scene.integrator.substeps
+def _touches(scene: Scene) -> Iterator[tuple[str, Surface, float]]:
+    """What is soft in the model: its path, itself, and how far a unit of force moves what meets there (1/kg)."""
     for name, thing in scene.object.items():
-        surfaces = [thing.surface, *(pair for pair in scene.contact.values() if name in pair.between)]
-        for surface in surfaces:
-            if thing.body is not None and surface is not None:
-                swing = np.sqrt(float(surface.stiffness) / float(thing.body.mass))
-                step = min(step, _SHORTEST / swing)
-    # Friction in MuJoCo is a damper, which creeps: the last two make it small, and the last takes it out.
-    ET.SubElement(
-        root,
-        "option",
-        gravity=words(gravity),
-        timestep=words(step),
-        cone="elliptic",
-        impratio="10",
-        noslip_iterations="10",
-    )
+        if thing.surface is not None and thing.body is not None:
+            yield f"object.{name}.surface", thing.surface, 1 / float(thing.body.mass)
+    for name, pair in scene.contact.items():
+        yield f"contact.{name}", pair, _mobility(scene, pair)
 
 
-def _body(world: ET.Element, scene: Scene, name: str, thing: Object) -> None:
+def _mobility(scene: Scene, pair: Contact) -> float:
+    bodies = [scene.object[name].body for name in pair.between]
+    return sum(1 / float(body.mass) for body in bodies if body is not None)
+
+
+def _damping(scene: Scene, surface: Surface, mobility: float) -> float:
+    return linear_damping(surface, mobility, scene.world, LEAST_DAMPING)
+
+
+def _time_step(scene: Scene) -> float:
+    """The scene's own time step (s), or a shorter one that its contacts need."""
+    step = float(scene.integrator.dt) / scene.integrator.substeps
+    for _, surface, mobility in _touches(scene):
+        swing = math.sqrt(float(surface.stiffness) * mobility)
+        step = min(step, _SWING / swing, _LOSS / _damping(scene, surface, mobility))
+    return step
+
+
+def _options(root: ET.Element, scene: Scene, step: float) -> None:
+    gravity = (0, 0, 0) if scene.world.gravity is None else scene.world.gravity
+    # Friction in MuJoCo is a damper, which creeps: by the share (1 - d) / (d impratio) of what pulls, in two time steps.
+    given = {"gravity": words(gravity), "timestep": words(step)}
+    ET.SubElement(root, "option", given, cone="elliptic", impratio="1000000")
+
+
+def _body(world: ET.Element, scene: Scene, name: str, thing: Object, step: float) -> None:
     turn = np.asarray(thing.orientation, np.float64)
     place = {"pos": words(thing.position), "quat": words(turn / np.linalg.norm(turn))}
     body = ET.SubElement(world, "body", {"name": name, **place})
@@ -82,7 +108,7 @@ def _body(world: ET.Element, scene: Scene, name: str, thing: Object) -> None:
         _inertial(body, thing.body, thing.shape)
     # Geoms with the conaffinity 1 and no contype touch what a user puts in, whose contype is 1 too, and not each other.
     touched = {"contype": "0", "conaffinity": "0" if thing.surface is None else "1"}
-    friction = {} if thing.surface is None else _friction(scene, thing.surface, thing.body)
+    friction = {} if thing.surface is None else _friction(scene, thing.surface, thing.body, step)
     ET.SubElement(body, "geom", {"name": name, **_form(thing.shape, name), **touched, **friction})
 
 
@@ -119,7 +145,7 @@ def _form(shape: Shape, name: str) -> dict[str, str]:
     return {"type": "mesh", "mesh": name}
 
 
-def _friction(scene: Scene, surface: Surface, body: Body | None) -> dict[str, str]:
+def _friction(scene: Scene, surface: Surface, body: Body | None, step: float) -> dict[str, str]:
     """What the geom of an object gives to any contact with what is not in the scene, taken as fixed or far heavier."""
     twist = scene.torsion.torsional_mu if isinstance(scene.torsion, SoftFinger) else None
     mu, dimensions = one_mu(surface), "3" if twist is None else "4"
@@ -128,27 +154,26 @@ def _friction(scene: Scene, surface: Surface, body: Body | None) -> dict[str, st
         "condim": dimensions,
         "friction": words(mu, 0.0 if twist is None else twist, 0.0),
     }
-    return given if body is None else given | _softness(scene, surface, 1 / float(body.mass))
+    if body is None:
+        return given
+    damping = _damping(scene, surface, 1 / float(body.mass))
+    return given | _softness(surface, 1 / float(body.mass), damping, geom_impedance(damping, step))
 
 
-def _softness(scene: Scene, surface: Surface, mobility: float) -> dict[str, str]:
-    damping = linear_damping(surface, mobility, scene.world)
-    solref = mujoco_solref(float(surface.stiffness), mobility, damping)
-    return {"solref": words(solref), "solimp": words(IMPEDANCE, IMPEDANCE, 1.0, 0.5, 1.0)}
+def _softness(surface: Surface, mobility: float, damping: float, impedance: float) -> dict[str, str]:
+    solref = mujoco_solref(float(surface.stiffness), mobility, damping, impedance)
+    return {"solref": words(solref), "solimp": words(impedance, impedance, 1.0, 0.5, 1.0)}
 
 
-def _pairs(contact: ET.Element, scene: Scene) -> None:
+def _pairs(contact: ET.Element, scene: Scene, step: float) -> None:
     for name, pair in scene.contact.items():
         first, second = pair.between
-        bodies = [scene.object[each].body for each in pair.between]
-        mobility = sum(1 / float(body.mass) for body in bodies if body is not None)
-        mu = one_mu(pair)
+        mobility, mu = _mobility(scene, pair), one_mu(pair)
         given = {"name": name, "geom1": first, "geom2": second, "condim": "3"}
-        ET.SubElement(
-            contact,
-            "pair",
-            {**given, "friction": words(mu, mu, 0.0, 0.0, 0.0), **_softness(scene, pair, mobility)},
-        )
+        given["friction"] = words(mu, mu, 0.0, 0.0, 0.0)
+        given |= _softness(pair, mobility, _damping(scene, pair, mobility), IMPEDANCE)
+        given["solreffriction"] = words(0.0, -friction_damping(IMPEDANCE, step))
+        ET.SubElement(contact, "pair", given)
 
 
 def _left_out(scene: Scene):
@@ -164,3 +189,7 @@ def _left_out(scene: Scene):
             yield f"{path} is left out: MuJoCo's depends on the mass of what touches a fixed object"
     for name, pair in scene.contact.items():
         yield from left_out_of_surface(pair, f"contact.{name}", kinetic=False)
+    for path, surface, _ in _touches(scene):
+        if surface.damping is None or float(surface.damping) < LEAST_DAMPING:
+            given = "none" if surface.damping is None else f"{float(surface.damping):g} s/m"
+            yield f"{path}.damping is {given}, with which little rests there: {LEAST_DAMPING} s/m is written"
