@@ -7,6 +7,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 import scipy.optimize
@@ -50,10 +51,12 @@ def draws():
     t, path = stroke()
     clean = forces(floor(), path)
     found = []
+    jaxtyping.config.update("jaxtyping_disable", True)  # the checks of types would take most of the time
     for seed in range(600):
         force = clean + SIGMA * np.random.default_rng(seed).standard_normal(clean.shape)
         result = fitted(Recording(hip=path, hip_t=t, force=force, force_t=t), starts=1)
         found.append([(p.estimate, p.standard_error, *p.interval95) for p in result.parameters.values()])
+    jaxtyping.config.update("jaxtyping_disable", False)
     return np.moveaxis(np.array(found), -1, 0)
 
 
