@@ -3,16 +3,18 @@
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from .errors import InputError, within
 from .extras import need
+from .glb import triangles_of
 from .shape import CONTACT_POINTS, Convex, Mesh
 
 _SUFFIXES = (".stl", ".obj", ".ply", ".glb")
 _LARGEST = 512 * 2**20  # bytes; some ten million triangles
+_APART = 1e-8  # units of the file; nearer vertices are one
 _ALLOWED = f"allowed: a file ending in {', '.join(_SUFFIXES)}"
 _FIELDS = {
     Mesh: ("file", "scale", "shaded", "contact_points"),
@@ -104,20 +106,40 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
         file = path.open("rb")
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror}); {_ALLOWED}") from None
-    trimesh = need("trimesh", "mesh")
     with file:
         try:
-            scene = trimesh.load_scene(file, file_type=suffix[1:], resolver=_Nothing())
-            mesh = scene.to_mesh()
-            mesh.merge_vertices(merge_tex=True, merge_norm=True)
-            vertices, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
+            vertices, triangles = triangles_of(file.read()) if suffix == ".glb" else _by_trimesh(file, suffix)
+        except InputError:
+            raise
         # Whatever the file has may fail anywhere in its reader.
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
             raise InputError(f"is no mesh that can be read ({reason}); {_ALLOWED}") from None
     if len(triangles) == 0:
         raise InputError(f"has no triangles; {_ALLOWED}")
-    return vertices, triangles
+    return _merged(vertices, triangles)
+
+
+def _by_trimesh(file: IO[bytes], suffix: str) -> tuple[np.ndarray, np.ndarray]:
+    scene = need("trimesh", "mesh").load_scene(file, file_type=suffix[1:], resolver=_Nothing())
+    mesh = scene.to_mesh()
+    return mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray)
+
+
+def _merged(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The triangles with their vertices in the file's order: those in one place are one, those of no triangle left out."""
+    used = np.zeros(len(vertices), bool)
+    used[triangles] = True
+    points = vertices[used].astype(np.float64)
+    cells = np.round(points / _APART)
+    order = np.lexsort(cells.T)
+    begins = np.append(True, (cells[order[1:]] != cells[order[:-1]]).any(axis=1))
+    firsts = order[begins]  # the sort is stable: of those in one place the first of the file
+    rank = np.empty(len(firsts), np.int64)
+    rank[np.argsort(firsts)] = np.arange(len(firsts))
+    numbers = np.zeros(len(vertices), np.int64)
+    numbers[np.flatnonzero(used)[order]] = rank[np.cumsum(begins) - 1]
+    return points[np.sort(firsts)], numbers[triangles]
 
 
 class _Nothing(Mapping):
