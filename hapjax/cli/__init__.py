@@ -2,4 +2,3 @@
 
 from ._program import COMMANDS as COMMANDS
 from ._program import main as main
-from ._program import run as run

@@ -9,7 +9,7 @@ from contextlib import contextmanager, redirect_stdout
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import tyro
 from tyro import _errors as parse_errors
@@ -60,20 +60,6 @@ def main(arguments: list[str] | None = None) -> int:
         return _say("interrupted", 130)
     except OSError as error:
         return _say(f"{error.filename or 'output'}: {error.strerror or error}", 1)
-
-
-def run() -> NoReturn:
-    """The program: `main`, and its end.
-
-    What compiled code does when it is interrupted goes on in threads of its own, and would fail in the middle of taking
-    everything down. So an interrupted program ends at once.
-    """
-    code = main()
-    if code == 130:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
-    sys.exit(code)
 
 
 def _run(arguments: list[str]) -> int | None:

@@ -141,7 +141,7 @@ class Command:
     """`hapjax` with arguments; `url`, where it says that its page is."""
 
     def __init__(self, *arguments):
-        command = [sys.executable, "-c", "import hapjax.cli; hapjax.cli.run()", *map(str, arguments)]
+        command = [sys.executable, "-c", "import hapjax_command; hapjax_command.run()", *map(str, arguments)]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         said = self.process.stdout.readline()

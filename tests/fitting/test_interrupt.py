@@ -84,7 +84,7 @@ def test_a_handler_of_the_programs_own_is_left_alone(monkeypatch):
 
 INTERRUPTED = """
 import signal, sys
-from hapjax.cli import run
+from hapjax_command import run
 from hapjax_fitting.solve import Trace
 signal.signal(signal.SIGINT, signal.default_int_handler)
 add, count = Trace.add, [0]

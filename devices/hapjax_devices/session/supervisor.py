@@ -63,10 +63,10 @@ def supervise(
     with _asked() as asked:
         watch = _Watch(session, record, Display(display if sys.stdout.isatty() else 0.0), tuning, view)
         code = watch.until(asked)
-    figures = watch.figures()
-    _summary(figures)
-    if file is not None:
-        write_json(file, figures)
+        figures = watch.figures()
+        _summary(figures)
+        if file is not None:
+            write_json(file, figures)
     return code
 
 
@@ -156,6 +156,8 @@ class _Watch:
 
     def _reader(self, asked: list[int]) -> TickReader | None:
         """A reader of the servo's ticks, once it has begun; `None` where it does not."""
+        if sys.stderr.isatty():
+            _say("compiling; the fingers feel the scene once that is done")
         while self._servo.code() is None and not _to_end(asked):
             try:
                 return TickReader(self._session.run, 0.5, process=self._servo.pid)
