@@ -7,6 +7,8 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import serve
 
+_AT = '{"inverse3": [{"device_id": "049D", "state": {"cursor_position": %s}}]}'
+
 
 class HaplyService:
     """Answers on `url` for devices at `place` (m), and keeps the last `force` (N) of each and all the `messages`.
@@ -14,7 +16,7 @@ class HaplyService:
     **Attributes:** `fault`: `None`, or one of `FAULTS`. A force ends with its connection, as the service's does.
     """
 
-    FAULTS = ("silence", "closed", "garbage", "nan", "nothing", "unplugged", "jump", "deep", "text")
+    FAULTS = ("silence", "closed", "garbage", "nan", "nothing", "unplugged", "jump", "deep", "text", "huge")
 
     def __init__(self, ids=("049D",), field="values"):
         self.field, self.place, self.fault = field, np.zeros(3), None
@@ -69,5 +71,6 @@ class HaplyService:
             "unplugged": lambda: '{"inverse3": []}',
             "jump": lambda: json.dumps(self._state(self.place + 0.5)),
             "deep": lambda: "[" * 100_000,
-            "text": lambda: '{"inverse3": [{"device_id": "049D", "state": {"cursor_position": "here"}}]}',
+            "text": lambda: _AT % '"here"',
+            "huge": lambda: _AT % f'{{"x": 1{"0" * 400}, "y": 0, "z": 0}}',
         }[self.fault]()

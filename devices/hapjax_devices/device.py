@@ -54,7 +54,7 @@ class RecoverableDevice(Device, Protocol):
     """A device that can come back after a fault while the loop goes on for the others."""
 
     def recover(self) -> bool:
-        """One short step, of a millisecond or two, on the way back; whether the device is ready again.
+        """One short step, of some milliseconds at most, on the way back; whether the device is ready again.
 
         A step that fails is no error: the next one begins anew. **Raises:** `DeviceClosed` where it is not open.
         """

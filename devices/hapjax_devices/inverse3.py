@@ -21,7 +21,8 @@ from .realtime import Clock
 URL = "ws://localhost:10001"
 RESOLUTION = 1e-5  # m
 FORCE_LIMIT = 5.0  # N, unless another is given
-_SHAKE = 0.005  # s for TCP and the websocket's handshake: the service is on this computer, and a loop may be waiting
+_OPENING = 1.0  # s for TCP and the websocket's handshake
+_SHAKE = 0.005  # s for them after a fault, for a loop waits; and for the rest of a message
 _INVENTORY = 1_000_000_000  # ns until the service has said what is attached
 _PATIENCE = 2_000_000  # ns that an overdue reply is waited for
 _MESSAGES = 8  # in one tick
@@ -34,7 +35,7 @@ def attached_inverse3(url: str = URL) -> list[str]:
 
     **Raises:** `DeviceError` where there is no service; `InputError` where the extra `inverse3` is not installed.
     """
-    socket = _connected(url, 1.0, "an Inverse3")
+    socket = _connected(url, _OPENING, "an Inverse3")
     try:
         return _ids(_parsed(socket.recv_data()[1]))
     except (OSError, need("websocket", "inverse3").WebSocketException) as error:
@@ -89,8 +90,10 @@ class Inverse3(Driver):
     # The way to a running device ------------------------------------------------------------------------------
 
     def _steps(self) -> Iterator[State]:
+        patience = _SHAKE if self.state == "faulted" else _OPENING
         yield "connecting"
-        self._socket = _connected(self._url, _SHAKE, self.name)
+        self._socket = _connected(self._url, patience, self.name)
+        self._socket.settimeout(_SHAKE)
         until = self._clock.now() + _INVENTORY
         while not (messages := self._received(1_000_000)):
             yield "connecting"
@@ -179,7 +182,7 @@ class Inverse3(Driver):
         try:
             position = mine[0]["state"]["cursor_position"]
             place = np.array([float(position[axis]) for axis in "xyz"])
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             return False
         now = self._clock.now()
         if self._place is not None:

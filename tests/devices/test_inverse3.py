@@ -76,6 +76,25 @@ def test_a_moving_hand_is_followed(service):
         until(lambda: device.read()[0] == pytest.approx(0.0002 * 19))
 
 
+def test_a_service_has_long_to_answer_until_a_loop_waits(service, monkeypatch):
+    given, real = [], inverse3._connected
+    monkeypatch.setattr(inverse3, "_OPENING", 7.0)
+    monkeypatch.setattr(inverse3, "_connected", lambda *to: given.append(to[1]) or real(*to))
+    device = Inverse3(url=service.url)
+    with device:
+        assert device._socket.gettimeout() == 5.0
+        service.fault = "closed"
+        with pytest.raises(DeviceError):
+            for _ in range(3):
+                device.write(PUSH)
+                device.read()
+        service.fault = None
+        until(device.recover)
+        assert given[0] == 7.0 and {*given[1:]} == {5.0} and device._socket.gettimeout() == 5.0
+    with device:
+        assert given[-1] == 7.0
+
+
 def test_the_newer_message_format():
     with HaplyService(field="vector") as service:
         with Inverse3(message_format="3.5", url=service.url) as device:
