@@ -220,4 +220,4 @@ def without_type_checks():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FORMATS)
 def test_many_damaged_files_are_read_or_refused(name, tmp_path, without_type_checks):
-    fuzz(name, tmp_path, 2000, load_recording)
+    fuzz(name, tmp_path, 1000, load_recording)
