@@ -32,8 +32,6 @@ class Scan:
         self._ended = False
 
     def __iter__(self) -> Iterator[tuple]:
-        if self.size == 0:
-            raise InputError(f"{self.path}: expected an MCAP file, found an empty one")
         records = need("mcap.records", "recording")
         schemas, channels = {}, {}
         for record in self._records():
@@ -48,6 +46,11 @@ class Scan:
                 self.messages += 1
                 yield channel, schemas.get(channel.schema_id), record
 
+    def attachments(self) -> Iterator:
+        """The attachments, instead of the messages; chunks are passed over."""
+        kind = need("mcap.records", "recording").Attachment
+        return (record for record in self._records(unpack=False) if isinstance(record, kind))
+
     def findings(self) -> tuple[Finding, ...]:
         """What there is to say of the file after it was gone through: whether its end was missing."""
         if self._ended:
@@ -58,14 +61,16 @@ class Scan:
         )
         return (Finding("file", "cut short", sentence, "read up to the last whole part"),)
 
-    def _records(self) -> Iterator:
-        """All records, those in chunks too."""
+    def _records(self, unpack: bool = True) -> Iterator:
+        """All records, those in chunks too; or the chunks as they are."""
+        if self.size == 0:
+            raise InputError(f"{self.path}: expected an MCAP file, found an empty one")
         errors, kinds = need("mcap.exceptions", "recording"), need("mcap.records", "recording")
         with open(self.path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as stream:
             reader = self._reader(stream, self.size, emit_chunks=True)
             try:
                 for record in reader.records:
-                    if isinstance(record, kinds.Chunk):
+                    if unpack and isinstance(record, kinds.Chunk):
                         yield from self._unpacked(record)
                     else:
                         yield record

@@ -218,7 +218,9 @@ class Gui:
         return SimpleNamespace()
 
     def add_slider(self, label, **options):
-        return SimpleNamespace(value=options["initial_value"], on_update=lambda f: f)
+        made = SimpleNamespace(value=options["initial_value"], max=options.get("max"))
+        made.on_update = lambda f: setattr(made, "moved", f)
+        return made
 
     def add_checkbox(self, label, **options):
         return self.add_slider(label, **options)
@@ -254,3 +256,36 @@ def test_the_bar_goes_on_while_it_plays_and_begins_anew_at_its_end(lifted):
     player.speed.value = "3"
     player.take(6.2)
     assert player.bar.value == 0.0
+
+
+def test_the_bar_is_the_users_while_it_is_moved_and_pages_are_told_where_it_is_left(lifted):
+    scene, recording, _ = lifted
+    server = SimpleNamespace(gui=Gui(), scene=Drawn(), atomic=nullcontext)
+    player = replay.Player(server, scene, replay.course_of(scene, recording))
+
+    def moved(time, by: object = "a page"):
+        player.bar.value = time
+        player.bar.moved(SimpleNamespace(client=by))  # pyright: ignore[reportAttributeAccessIssue]
+
+    player.take(0.0)
+    for now, time in ((0.1, 0.25), (0.2, 0.05), (0.3, 0.15)):  # both ways, while it plays
+        moved(time)
+        player.take(now)
+        player.take(now + 0.09)
+        assert player.bar.value == time
+    player.take(0.3 + replay.HELD - 0.01)
+    assert player.bar.value == 0.15
+    player.take(0.3 + replay.HELD + 0.01)
+    assert player.bar.value != 0.15 and player.bar.value == pytest.approx(0.15)  # viser tells no value twice
+    player.take(0.3 + replay.HELD + 0.06)
+    assert player.bar.value == pytest.approx(0.2)
+    moved(0.1, None)  # as when it is set from here
+    player.take(0.3 + replay.HELD + 0.08)
+    assert player.bar.value == pytest.approx(0.12)
+    player.playing.value = False
+    moved(end := float(player.bar.max))  # pyright: ignore[reportAttributeAccessIssue]
+    player.take(2.0)
+    player.take(3.0)
+    assert end - 1e-9 < player.bar.value < end
+    player.take(4.0)
+    assert end - 1e-9 < player.bar.value < end

@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from hapjax import InputError, Scene
 from hapjax.errors import within
-from hapjax.extras import need
 from hapjax.paths import number_at
 from hapjax.recording.mcap_records import Scan
 from hapjax.scene_file import scene_from_dict
@@ -20,20 +19,27 @@ _SAME = 1e-9  # s, by which two times of one tick may differ
 
 
 def attached_scene(file: Path) -> Scene:
-    """The scene that a recording of `hapjax run` has with it. **Raises:** `InputError` where there is none."""
+    """The scene that a recording of `hapjax run` has with it, also where its end is missing.
+
+    **Raises:** `InputError` where there is none, for an attachment whose name no file can have, and as `Scan`.
+    """
     found = {}
     if file.suffix.lower() == ".mcap":
-        with file.open("rb") as opened:
-            reader = need("mcap.reader", "recording").make_reader(opened)
-            found = {each.name: each.data for each in reader.iter_attachments()}
+        found = {each.name: each.data for each in Scan(file).attachments()}
     if "scene.toml" not in found:
         raise InputError(f"{file}: no scene is recorded with it; allowed: with --scene")
     with tempfile.TemporaryDirectory() as folder:
         for name, data in found.items():
             place = Path(folder, name)
-            if place.resolve().is_relative_to(Path(folder).resolve()):
-                place.parent.mkdir(parents=True, exist_ok=True)
-                place.write_bytes(data)
+            try:
+                if place.resolve().is_relative_to(Path(folder).resolve()):
+                    place.parent.mkdir(parents=True, exist_ok=True)
+                    place.write_bytes(data)
+            except (OSError, ValueError) as error:
+                reason = getattr(error, "strerror", None) or error
+                raise InputError(
+                    f"{file}: has the attachment {name[:80]!r} ({reason}); allowed: names of files"
+                ) from None
         with within(f"{file}, scene.toml: "):
             return scene_from_dict(tables(found["scene.toml"]), Path(folder))
 
