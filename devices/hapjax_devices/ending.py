@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from typing import Any
 
 # Ctrl-Z too: a loop that is suspended leaves its last forces on.
-_ENDING = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
+ENDING = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 
 
 class Ending:
@@ -27,7 +28,7 @@ class Ending:
 
     def __enter__(self) -> "Ending":
         if threading.current_thread() is threading.main_thread():
-            for number in (getattr(signal, name) for name in _ENDING if hasattr(signal, name)):
+            for number in ENDING:
                 if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                     self._before[number] = signal.signal(number, self._ask)
         return self

@@ -6,6 +6,7 @@ import re
 import signal
 import struct
 import subprocess
+import sys
 import threading
 import time
 from ipaddress import ip_address
@@ -70,7 +71,8 @@ def ticks_until(reader, count):
 
 
 @pytest.mark.slow
-def test_a_session_is_recorded_and_ends_when_asked(table, tmp_path, capsys):
+def test_a_session_is_recorded_and_ends_when_asked(table, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     name, out, figures = f"asked-{os.getpid()}", tmp_path / "a.mcap", tmp_path / "a.json"
     servo = []
 
@@ -95,7 +97,9 @@ def test_a_session_is_recorded_and_ends_when_asked(table, tmp_path, capsys):
     assert [event["kind"] for event in found["events"]].count("end") == 1
     with pytest.raises(ProcessLookupError):
         os.kill(servo[0], 0)
-    assert f"{found['ticks']} ticks" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert f"{found['ticks']} ticks" in said.out
+    assert said.err.startswith("hapjax: compiling; the fingers feel the scene once that is done\n")
 
 
 @pytest.mark.slow
@@ -232,6 +236,18 @@ def test_asked_to_end_before_it_begins_it_ends(table, tmp_path, monkeypatch, cap
     name = f"early-{os.getpid()}"
     assert main(["run", str(table), "--name", name, "--device", "virtual", "--record", str(record)]) == 0
     assert capfd.readouterr() == ("", "") and not record.exists()
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP"])
+def test_a_session_ends_at_each_signal_that_would_end_or_suspend_it(name):
+    """Suspended, it would watch over nothing while the servo pushes on."""
+    number = getattr(signal, name)
+    before = signal.getsignal(number)
+    with supervisor._asked() as asked:
+        assert signal.getsignal(number) not in (before, signal.SIG_DFL)
+        signal.raise_signal(number)
+        assert supervisor._to_end(asked)
+    assert signal.getsignal(number) is before
 
 
 def test_falcons_of_a_servo_that_was_killed_are_told_to_push_no_more(table, monkeypatch, capfd):

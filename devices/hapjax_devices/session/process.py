@@ -13,13 +13,13 @@ from hapjax import InputError
 
 from ..bus import Broadcast
 from ..device import DeviceError
+from ..ending import ENDING
 from ..passivity import Passivity
 from ..servo import run
 from .parent import end_with
 from .settings import Session
 
 PATIENCE = 60.0  # s that is waited for the processes that listen: they import and compile
-_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
 class ServoProcess:
@@ -63,7 +63,7 @@ class _Asked:
     def __init__(self, ticks: float):
         self._left = ticks
         self._began = self._asked = False
-        for number in _SIGNALS:
+        for number in ENDING:
             signal.signal(number, self._ask)
 
     def __call__(self) -> bool:

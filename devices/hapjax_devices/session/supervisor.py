@@ -17,6 +17,7 @@ from .. import viewer
 from ..bus import TickReader, services
 from ..device import DeviceError
 from ..falcon import let_go
+from ..ending import ENDING
 from ..recorder import RecorderProcess
 from .figures import Figures
 from .process import ServoProcess
@@ -27,7 +28,6 @@ PERIOD = 0.05  # s between two looks
 _PATIENCE = 600.0  # s that a recorder waits for a servo that waits for its user to home a device
 _END = 10.0  # s that a process is given to end
 _COUNTED = ("end", "missed", "ramped")  # events that the counts and the summary tell of, and no sentence
-_SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
 def supervise(
@@ -38,7 +38,7 @@ def supervise(
     tuning: Tuning | None = None,
     view: tuple[str, int] | None = None,
 ) -> int:
-    """Run a session until its time is over, or Ctrl-C or SIGTERM comes; returns the exit code.
+    """Run a session until its time is over, or one of `ENDING` comes, Ctrl-C, Ctrl-Z or SIGTERM say; returns the exit code.
 
     0: it went as asked; 1: the servo, or a device that cannot come back, failed, or the recorder did; 2: the servo refused
     its input.
@@ -230,7 +230,7 @@ class _Watch:
 def _asked() -> Iterator[list[int]]:
     """The signals that asked for the end so far, while they are listened to."""
     found: list[int] = []
-    listened = (*_SIGNALS, signal.SIGUSR1)
+    listened = (*ENDING, signal.SIGUSR1)
     before = {number: signal.signal(number, lambda n, _: found.append(n)) for number in listened}
     try:
         yield found
@@ -241,7 +241,7 @@ def _asked() -> Iterator[list[int]]:
 
 def _to_end(asked: list[int]) -> bool:
     """Whether one of the signals asks for the end."""
-    return any(number in _SIGNALS for number in asked)
+    return any(number in ENDING for number in asked)
 
 
 def _entered() -> bool:
