@@ -40,11 +40,14 @@ class Page:
         return self.closing
 
     def drag(self, on, way, finger=None):
-        for phase, end in (("start", np.zeros(3)), ("update", np.array(way) / 2), ("end", np.array(way))):
-            event = SimpleNamespace(phase=phase, instance_index=finger)
-            event.start_position, event.end_position = (1.0, 1.0, 1.0), tuple(end + 1.0)
-            with pytest.raises(StopIteration):
-                self.called[on](event).send(None)
+        for phase, part in (("start", 0.0), ("update", 0.5), ("end", 1.0)):
+            self.dragged(on, phase, np.array(way) * part, finger)
+
+    def dragged(self, on, phase, way, finger=None, page=0, held=(1.0, 1.0, 1.0)):
+        event = SimpleNamespace(phase=phase, instance_index=finger, client_id=page)
+        event.start_position, event.end_position = held, tuple(held + np.array(way))
+        with pytest.raises(StopIteration):
+            self.called[on](event).send(None)
 
 
 def ticked(devices, clock, count, page=None, force=(0.0, 0.0, 0.0)):
@@ -91,6 +94,23 @@ def test_the_palm_takes_all_along_and_the_slider_closes_the_hand(run):
         found - hips, [[-0.005, 0, 0.02], [0.005, 0, 0.02], [0.005, 0, 0.02]], atol=5e-5
     )
     np.testing.assert_array_equal(closed(hips[:1], 0.005), hips[:1])  # one finger has no other side
+
+
+def test_two_pages_drag_at_once_and_one_that_closes_leaves_its_finger_where_it_is(run):
+    hips = START + np.array([[0.04, 0, 0], [-0.04, 0, 0]])
+    with Page(run, [0, 1], hips) as page:
+        page.dragged("tip", "start", (0.0, 0.0, 0.0), 0, page=7)
+        page.dragged("tip", "update", (0.0, 0.0, 0.01), 0, page=7)
+        page.dragged("tip", "start", (0.0, 0.0, 0.0), 1, page=8, held=(5.0, 5.0, 5.0))
+        page.dragged("tip", "update", (0.0, 0.02, 0.0), 1, page=8, held=(5.0, 5.0, 5.0))
+        page.dragged("tip", "update", (0.0, 0.0, 0.03), 0, page=7)
+        wanted = hips + np.array([[0, 0, 0.03], [0, 0.02, 0]])
+        np.testing.assert_allclose(page.grip.goals, wanted)
+        page.dragged(
+            "tip", "start", (0.0, 0.0, 0.0), 0, page=8
+        )  # 7 has closed, and never said that it let go
+        page.dragged("tip", "end", (0.0, 0.0, 0.01), 0, page=8)
+        np.testing.assert_allclose(page.grip.goals, wanted + [[0, 0, 0.01], [0, 0, 0]])
 
 
 def test_a_hand_yields_to_what_it_presses_on(run):

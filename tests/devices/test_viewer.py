@@ -23,9 +23,9 @@ viser = pytest.importorskip("viser", reason="the viewer needs the extra viewer")
 
 from hapjax_devices.viewer import stage as drawing  # noqa: E402
 from hapjax_devices.viewer.live import Decoder  # noqa: E402
-from hapjax_devices.viewer.plots import NOWHERE, cone  # noqa: E402
+from hapjax_devices.viewer.plots import NOWHERE, Plots, cone  # noqa: E402
 from hapjax_devices.viewer.server import is_own, serving  # noqa: E402
-from hapjax_devices.viewer.shapes import CLEAR, SOLID, glb, triangles  # noqa: E402
+from hapjax_devices.viewer.shapes import CLEAR, SOLID, as_light, glb, triangles  # noqa: E402
 from hapjax_devices.viewer.sliders import Sliders, scale  # noqa: E402
 
 MU, STIFFNESS, A_CRIT = 0.5, 1000.0, 1e-6
@@ -95,13 +95,13 @@ def test_circles_are_as_large_as_forces_and_patches_as_their_areas(pressed):
     first, others = slice(0, 1), slice(1, 4)
     circles, patches = drawn.made["/friction_circles"], drawn.made["/contact_patches"]
     np.testing.assert_allclose(circles.batched_scales[first], per * MU * n, rtol=1e-4)
-    np.testing.assert_array_equal(circles.batched_colors[0], drawing.SLIDES)
+    np.testing.assert_array_equal(circles.batched_colors[0], as_light(drawing.SLIDES))
     np.testing.assert_allclose(patches.batched_scales[first], drawing.PATCH * MU * 1e-3, rtol=1e-4)
     critical = drawn.made["/critical_areas"]
     np.testing.assert_allclose(
         critical.batched_scales[first], drawing.PATCH * np.sqrt(A_CRIT / np.pi), atol=1e-6
     )
-    np.testing.assert_array_equal(critical.batched_colors[0], drawing.GREY)  # 0.79 mm^2 of 1
+    np.testing.assert_array_equal(critical.batched_colors[0], as_light(drawing.GREY))  # 0.79 mm^2 of 1
     for flat in (circles, patches, critical):
         np.testing.assert_array_equal(flat.batched_scales[others], 0)
         along = matrices(flat.batched_wxyzs[0])[:, 2]
@@ -115,6 +115,41 @@ def test_circles_are_as_large_as_forces_and_patches_as_their_areas(pressed):
     )  # it ends on the circle
     np.testing.assert_allclose(drawn.made["/objects/block"].wxyz, TURN, atol=1e-6)
     np.testing.assert_allclose(drawn.made["/hips"].batched_positions, ticks["hip"][-1], atol=1e-6)
+
+
+def test_in_a_grasp_god_object_and_finger_are_told_apart_inside_the_fingertip():
+    drawn, deep = Drawn(), 0.0024  # m, of 1.9 N on 800 N/m
+    drawing.Stage(SimpleNamespace(scene=drawn), scene(), 2)
+    names = ("/hips", "/god_objects", "/hand/tips")
+    hip, god, tip = (np.ptp(drawn.made[name].arguments[0], axis=0).max() / 2 for name in names)
+    assert hip + god < deep < tip - hip
+    assert god > drawn.made["/forces"].shaft_radius  # the arrow begins there
+    assert drawn.made["/hand/tips"].opacity < 0.5
+    for name in ("/hips", "/hand/tips"):  # as viser takes them: as amounts of light
+        np.testing.assert_array_equal(drawn.made[name].batched_colors[1], as_light(drawing.FINGERS[1]))
+    np.testing.assert_array_equal(as_light((0, 188, 255)), [0, 130, 255])  # of sRGB
+
+
+def test_plots_leave_room_above_and_hide_no_finger(pressed):
+    _, decoder, ticks, _ = pressed
+    plots = []
+
+    def add(data, series, **options):
+        plots.append(SimpleNamespace(data=data, series=series, **options))
+        return plots[-1]
+
+    Plots(SimpleNamespace(gui=SimpleNamespace(add_uplot=add)), 5).show(window := decoder.moments(ticks))
+    force, _ = plots
+    assert len(force.data) == 1 + 2 + 1
+    np.testing.assert_allclose(force.data[1], np.linalg.norm(window.force[:, 0], axis=1))
+    # What is plotted reaches down to 0, however steady the forces: a tenth of that is above them.
+    np.testing.assert_array_equal(force.data[-1], 0)
+    assert force.series[-1]["stroke"] == "transparent" and plots[0].padding[0] > 0
+    for plot in plots:
+        widths = np.array(
+            [each["points"]["size"] if each["width"] == 0 else each["width"] for each in plot.series[1:6]]
+        )
+        assert np.all(np.diff(widths) < -1) and len({each["stroke"] for each in plot.series[1:6]}) == 5
 
 
 def test_the_cone_has_each_sample_once_in_order_and_each_fingers_limit(pressed):

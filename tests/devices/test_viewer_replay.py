@@ -118,6 +118,20 @@ def test_the_scene_of_a_recording_is_that_which_is_recorded_with_it(tmp_path, mo
     assert not [*(tmp_path / "temporary").iterdir()]  # nothing was written elsewhere, and what was is gone
 
 
+@pytest.mark.parametrize("name", ["", ".", "scene.toml/x", "a\0b", "x" * 300])
+def test_attachments_that_can_be_no_files_are_refused(name, tmp_path):
+    from mcap.writer import Writer
+
+    with (tmp_path / "a.mcap").open("wb") as opened:
+        writer = Writer(opened)
+        writer.start()
+        for each in ("scene.toml", name):
+            writer.add_attachment(0, 0, each, "", b"[object.floor]\nshape = 'plane'\n")
+        writer.finish()
+    with pytest.raises(hapjax.InputError, match=r"a.mcap: has the attachment .*; allowed: names of files"):
+        recorded.attached_scene(tmp_path / "a.mcap")
+
+
 STIFFNESS, A_CRIT = "object.block.surface.stiffness", "torsion.critical_area"
 
 
@@ -158,6 +172,18 @@ def test_numbers_that_were_changed_meanwhile_are_played_back(pressed):
         found.normal_force[:, 0], np.repeat([[1.0, 1.0], [2.0, 2.0]], 3, axis=0), rtol=1e-4
     )
     np.testing.assert_allclose(found.critical_area, np.repeat([2e-5, 1e-5], 3))
+
+
+def test_a_recording_that_was_cut_short_still_has_its_scene(pressed, tmp_path):
+    scene, file = pressed
+    whole = file.read_bytes()
+    for part in (0.95, 0.7):
+        (tmp_path / "cut.mcap").write_bytes(whole[: int(part * len(whole))])
+        with jax.enable_x64(True):
+            given = recorded.attached_scene(tmp_path / "cut.mcap")
+            live = recorded.recorded_numbers(tmp_path / "cut.mcap", given)
+        assert given.touchable() == scene.touchable() == ["block"]
+        assert live.values[STIFFNESS][0] == 1000
 
 
 MALFORMED = {

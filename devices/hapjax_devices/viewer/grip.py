@@ -24,7 +24,9 @@ class Grip:
     def __init__(
         self, server: Any, stage: Any, run: str, fingers: Sequence[int], hip: Float[np.ndarray, "F 3"]
     ):
-        self._fingers, self._begun = list(fingers), (np.zeros(3), np.zeros((0, 3)))
+        self._fingers = list(fingers)
+        # Of each page that drags: what it took hold of, and where all were to be then, m.
+        self._begun: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self.goals = np.array(hip[self._fingers], np.float64)
         self._node = services.join(run)
         with services.said(f"the fingers of {run}"):
@@ -54,10 +56,12 @@ class Grip:
 
     def _drag(self, event: Any, which: list[int]) -> None:
         if event.phase == "start":
-            self._begun = np.array(event.start_position), self.goals.copy()
-        grabbed, goals = self._begun
-        if len(goals):
+            self._begun[event.client_id] = np.array(event.start_position), self.goals.copy()
+        if event.client_id in self._begun:
+            grabbed, goals = self._begun[event.client_id]
             self.goals[which] = goals[which] + np.array(event.end_position) - grabbed
+        if event.phase == "end":
+            self._begun.pop(event.client_id, None)
 
     def close(self) -> None:
         """Leave the bus."""

@@ -10,6 +10,11 @@ from .stage import FINGERS
 
 SECONDS, RATE = 5.0, 100.0  # s that are shown, Hz: what a screen can tell apart
 PERIOD = 0.25  # s between two drawings: a browser on a slow computer has to keep up
+PADDING = 10, 24, 0, 0  # pixels above, right of, below, left of a plot: an axis may have a number at its end
+THIN = 1.5  # pixels, the thinnest curve
+# At 0, seen neither in the plot nor in its legend: uPlot leaves room above curves by how far apart what it plots is, and
+# none where forces are steady.
+NOTHING = {"label": "", "stroke": "transparent", "class": "mantine-hidden-from-xs"}
 NOWHERE = -1.0  # N, below the plot: what is not a number takes the axes with it
 
 
@@ -20,32 +25,31 @@ class Plots:
     """
 
     def __init__(self, server: Any, fingers: int):
-        colours = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in FINGERS[:fingers]]
-        names = [f"finger {finger}" for finger in range(fingers)]
-        empty = np.zeros(1)
         scales = {"x": {"time": False}, "y": {"range": (0.0, None)}}
-        lines = [{"label": name, "stroke": c, "width": 1.5} for name, c in zip(names, colours, strict=True)]
+        names = [f"finger {finger}" for finger in range(fingers)]
+        # Each is thinner than those under it: of curves that are the same each is seen.
+        widths = np.linspace(THIN + min(2.0 * (fingers - 1), 4.5), THIN, fingers)
+        looks = [
+            {"label": name, "stroke": f"#{r:02x}{g:02x}{b:02x}", "width": float(width)}
+            for name, (r, g, b), width in zip(names, FINGERS[:fingers], widths, strict=True)
+        ]
+        empty = np.zeros(1)
         self._force = server.gui.add_uplot(
-            (empty,) * (1 + fingers),
-            ({"label": "s"}, *lines),
+            (empty,) * (2 + fingers),
+            ({"label": "s"}, *looks, NOTHING),
             title="force on the fingers",
             axes=({"label": "time (s)"}, {"label": "|f| (N)", "size": 60}),
             scales=scales,
+            padding=PADDING,
             aspect=2.2,
         )
         dots = [
-            {"label": name, "stroke": c, "width": 0, "points": {"show": True, "size": 4, "fill": c}}
-            for name, c in zip(names, colours, strict=True)
+            {**look, "width": 0, "points": {"show": True, "size": 3 + look["width"], "fill": look["stroke"]}}
+            for look in looks
         ]
         limits = [
-            {
-                "label": f"mu f_n {finger}",
-                "stroke": c,
-                "width": 1.2,
-                "dash": [6, 4],
-                "points": {"show": False},
-            }
-            for finger, c in enumerate(colours)
+            {**look, "label": f"mu f_n, {look['label']}", "dash": [6, 4], "points": {"show": False}}
+            for look in looks
         ]
         self._cone = server.gui.add_uplot(
             (empty,) * (1 + 2 * fingers),
@@ -53,13 +57,15 @@ class Plots:
             title="friction cone: |f_t| against f_n",
             axes=({"label": "f_n (N)"}, {"label": "|f_t| (N)", "size": 60}),
             scales=scales,
+            padding=PADDING,
             legend={"show": False},
             aspect=2.0,
         )
 
     def show(self, window: Moments) -> None:
         """Plot these moments."""
-        self._force.data = (window.time, *np.linalg.norm(window.force, axis=2).T)
+        force = np.linalg.norm(window.force, axis=2)
+        self._force.data = (window.time, *force.T, np.zeros(len(force)))
         self._cone.data = cone(window)
 
 
@@ -78,7 +84,7 @@ def cone(window: Moments) -> tuple[Float[np.ndarray, "N"], ...]:
             newest = np.flatnonzero(pressed)[-1]
             limits[finger] = limit[newest, finger] / normal[newest, finger]
         samples[finger] = normal[pressed, finger], friction[pressed, finger]
-    most = max([0.5, *(x.max(initial=0.0) for x, _ in samples)])
+    most = 1.1 * max([0.5, *(x.max(initial=0.0) for x, _ in samples)])
     x = np.concatenate([[0.0], *(x for x, _ in samples), [most]])
     order, ends = np.argsort(x, kind="stable"), np.cumsum([1, *(len(x) for x, _ in samples)])
     dots = np.full((fingers, len(x)), NOWHERE)

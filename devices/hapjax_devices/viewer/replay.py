@@ -29,6 +29,7 @@ from .server import serving
 from .stage import Stage, camera
 
 RATE = 100.0  # Hz, at which moments are kept
+HELD = 0.5  # s, for which the bar does not go on by itself after a user has moved it
 SPEEDS = {"0.1": 0.1, "0.3": 0.3, "1": 1.0, "3": 3.0}
 
 
@@ -182,21 +183,33 @@ class Player:
 
     def __init__(self, server: Any, scene: Scene, course: Moments):
         self._server, self._course, self._last = server, course, None
-        self._drawn = -np.inf
+        self._drawn, self._held, self._moved = -np.inf, 0.0, False
         self._stage = Stage(server, scene, course.hip.shape[1])
         with server.gui.add_folder("time"):
             self.playing = server.gui.add_checkbox("playing", initial_value=True)
             end = float(course.time[-1])
             self.bar = server.gui.add_slider("time (s)", min=0.0, max=end, step=1 / RATE, initial_value=0.0)
             self.speed = server.gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
+            self.bar.on_update(self._hold)
         self._plots = Plots(server, course.hip.shape[1])
         looks(server, self._stage)
 
+    def _hold(self, event: Any) -> None:
+        if event.client is not None:
+            self._moved = True
+
     def take(self, now: float) -> None:
-        """Show the moment of the bar, which goes on while it plays; `now`: the time on a clock, s."""
+        """Show the moment of the bar, which goes on while it plays and is not held; `now`: the time on a clock, s."""
         passed = 0.0 if self._last is None else now - self._last
         self._last = now
-        if self.playing.value:
+        if self._moved:
+            self._moved, self._held = False, HELD
+        elif self._held > 0:
+            self._held -= passed
+            if self._held <= 0:
+                # What came late to the page is there now instead of what was set; viser tells it no value twice.
+                self.bar.value = np.nextafter(self.bar.value, self._course.time[-1] / 2)
+        elif self.playing.value:
             end = self._course.time[-1]
             gone = float(self.bar.value) + passed * SPEEDS[self.speed.value]
             self.bar.value = gone if gone <= end else 0.0

@@ -1,5 +1,7 @@
 """Shapes as triangles to be drawn."""
 
+from typing import Any
+
 import numpy as np
 import trimesh
 from trimesh import creation
@@ -13,6 +15,11 @@ from hapjax.shape import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 CLEAR, SOLID = 0.55, 0.9  # opacities of what fingers feel, and go into, and of all else
 
 
+def as_light(colours: Any) -> np.ndarray:
+    """Colours as screens have them, 0 to 255, as amounts of light, to 255: glTF takes these, and so do viser's batches."""
+    return np.round(255 * (np.asarray(colours) / 255) ** 2.2).astype(np.uint8)
+
+
 def glb(thing: Object, colour: tuple[int, int, int]) -> bytes:
     """An object as binary glTF.
 
@@ -21,9 +28,11 @@ def glb(thing: Object, colour: tuple[int, int, int]) -> bytes:
     """
     vertices, faces, flat = triangles(thing.shape)
     opacity = SOLID if thing.surface is None else CLEAR
-    linear = (np.array(colour) / 255) ** 2.2  # glTF has colours as light, not as screens have them
     material = PBRMaterial(
-        baseColorFactor=[*linear, opacity], metallicFactor=0.0, roughnessFactor=1.0, alphaMode="BLEND"
+        baseColorFactor=[*as_light(colour) / 255, opacity],
+        metallicFactor=0.0,
+        roughnessFactor=1.0,
+        alphaMode="BLEND",
     )
     visual = TextureVisuals(material=material)
     mesh = trimesh.Trimesh(vertices, faces, visual=visual, process=False)

@@ -11,7 +11,7 @@ from hapjax.shape import Plane
 from .geometry import from_z, placed, ring, rods
 from .hand import hand
 from .moments import Moments
-from .shapes import glb, triangles
+from .shapes import as_light, glb, triangles
 
 FINGERS = ((31, 119, 180), (230, 97, 1), (44, 140, 70), (148, 70, 180), (200, 40, 60))  # their colours
 OBJECTS = ((125, 145, 175), (185, 160, 115), (135, 165, 130), (170, 135, 160))
@@ -19,7 +19,9 @@ SKIN, DARK, GREY = (226, 184, 158), (40, 40, 45), (150, 150, 155)
 HOLDS, SLIDES = (30, 150, 60), (205, 30, 30)
 FORCE = 0.01  # m that is drawn for each N
 PATCH = 8.0  # by how much larger than life contact patches are drawn: mu times the depth is less than a millimetre
-HIP, GOD, TIP, JOINT, BONE = 0.0025, 0.0018, 0.0075, 0.0065, 0.0055  # m, radii
+HIP, GOD = 0.0009, 0.0013  # m, radii: they are few millimetres apart, and the line between them is to be seen
+TIP, JOINT, BONE = 0.006, 0.006, 0.005  # m, radii
+CLEAR = 0.35  # opacity of the fingertips, in which HIPs and god-objects are
 _ABOVE = 4e-4  # m, by which flat things lie on a surface
 _STILL = np.array([1.0, 0.0, 0.0, 0.0])
 
@@ -52,8 +54,8 @@ class Stage:
         self._forces = server.scene.add_arrows(
             "/forces",
             np.zeros((fingers, 2, 3)),
-            colours,
-            shaft_radius=0.0011,
+            as_light(colours),
+            shaft_radius=0.0009,
             head_radius=0.003,
             head_length=0.006,
         )
@@ -61,7 +63,7 @@ class Stage:
         self._patches = self._flat("contact_patches", ring(0.0), touches, 0.45)
         self._critical = self._flat("critical_areas", ring(0.96), touches, 0.9)
         self.hand = server.scene.add_frame("/hand", show_axes=False)
-        self.tips = self._balls("hand/tips", TIP, colours, 0.75)
+        self.tips = self._balls("hand/tips", TIP, colours, CLEAR)
         self._joints = self._balls("hand/joints", JOINT, np.array([SKIN] * 2 * fingers, np.uint8), 0.6)
         self._bones = self._rods(2 * fingers + 1)
         self.palm = server.scene.add_icosphere(
@@ -100,13 +102,13 @@ class Stage:
         slides = (felt > 0.999 * limit) & (limit > 0)
         turn = from_z(normal)
         _put(self._circles, point + 3 * _ABOVE * normal, turn, FORCE * limit[:, None])
-        self._circles.batched_colors = np.where(slides[:, None], SLIDES, HOLDS).astype(np.uint8)
+        self._circles.batched_colors = np.where(slides[:, None], as_light(SLIDES), as_light(HOLDS))
         circle, critical = now.circle[-1].ravel(), now.critical_area[-1]
         _put(self._patches, point + _ABOVE * normal, turn, PATCH * circle[:, None])
         there = np.where(circle > 0, 0.0 if np.isnan(critical) else np.sqrt(critical / np.pi), 0.0)
         _put(self._critical, point + 2 * _ABOVE * normal, turn, PATCH * there[:, None])
         holds = np.pi * circle**2 >= critical
-        self._critical.batched_colors = np.where(holds[:, None], HOLDS, GREY).astype(np.uint8)
+        self._critical.batched_colors = np.where(holds[:, None], as_light(HOLDS), as_light(GREY))
 
     def _show_hand(self, tips: np.ndarray) -> None:
         shape = hand(tips)
@@ -125,15 +127,19 @@ class Stage:
 
     def _balls(self, name: str, radius: float, colours: np.ndarray, opacity: float | None = None) -> Any:
         ball, count = icosphere(3, radius), len(colours)
-        return self._batch(name, ball.vertices, ball.faces, count, batched_colors=colours, opacity=opacity)
+        return self._batch(
+            name, ball.vertices, ball.faces, count, batched_colors=as_light(colours), opacity=opacity
+        )
 
     def _flat(self, name: str, form: tuple[np.ndarray, np.ndarray], count: int, opacity: float) -> Any:
         looks: Any = dict(opacity=opacity, side="double", cast_shadow=False, receive_shadow=False)
-        return self._batch(name, *form, count, batched_colors=np.array([HOLDS] * count, np.uint8), **looks)
+        return self._batch(name, *form, count, batched_colors=np.tile(as_light(HOLDS), (count, 1)), **looks)
 
     def _rods(self, count: int) -> Any:
         rod = cylinder(BONE, 1.0, sections=24)
-        return self._batch("hand/bones", rod.vertices, rod.faces, count, batched_colors=SKIN, opacity=0.6)
+        return self._batch(
+            "hand/bones", rod.vertices, rod.faces, count, batched_colors=as_light(SKIN), opacity=0.6
+        )
 
     def _batch(self, name: str, vertices: np.ndarray, faces: np.ndarray, count: int, **looks: Any) -> Any:
         return self._scene.add_batched_meshes_simple(
