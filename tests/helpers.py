@@ -21,7 +21,7 @@ def followed(monkeypatch, *modules) -> list[dict[str, float]]:
     bars = []
 
     @contextlib.contextmanager
-    def following(total, apart=False):
+    def following(total, apart=False, **_):
         bar = {"total": total, "told": 0.0, "apart": apart}
         bars.append(bar)
 

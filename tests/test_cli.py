@@ -80,7 +80,7 @@ def test_simulate_in_pieces_is_the_same_to_the_last_bit(tmp_path, monkeypatch):
     answers, told = [], []
 
     @contextlib.contextmanager
-    def following(total):
+    def following(total, **_):
         yield lambda doing, done: told.append((total, done))
 
     monkeypatch.setattr("hapjax.cli.simulate.following", following)
@@ -143,7 +143,16 @@ def test_simulate_dates_poses_at_the_end_of_the_step(tmp_path):
 
 
 @pytest.mark.slow
-def test_fit_finds_what_simulate_was_given(tmp_path, stroke, capsys):
+def test_fit_finds_what_simulate_was_given(tmp_path, stroke, monkeypatch, capsys):
+    stages = []
+
+    @contextlib.contextmanager
+    def following(total, *, doing="compiling", shown=True):
+        stages.append(doing)
+        yield lambda *_: None
+
+    for command in ("simulate", "fit"):
+        monkeypatch.setattr(f"hapjax.cli.{command}.following", following)
     truth = write_table(tmp_path / "truth.toml", 0.5, 1000.0)
     guess = write_table(tmp_path / "guess.toml", 0.8, 600.0)
     assert main(["simulate", truth, "--hip", stroke, "--out", str(tmp_path / "answer.npz")]) == 0
@@ -154,6 +163,8 @@ def test_fit_finds_what_simulate_was_given(tmp_path, stroke, capsys):
     figures, report = tmp_path / "fit.json", tmp_path / "report"
     arguments = ["--scene", guess, "--free", *free, "--json", str(figures), "--report", str(report)]
     assert main(["fit", str(tmp_path / "answer.npz"), *arguments]) == 0
+    simulating, fitting = ["reading", "compiling", "writing"], ["loading the library", "reading"]
+    assert stages == [*simulating, *fitting, "drawing the report"]
     out = capsys.readouterr().out
     assert "object.table.surface.mu" in out
     assert f"finding: {tmp_path / 'answer.npz'}: not a number: 1 of 400 samples of force" in out

@@ -1,6 +1,7 @@
 """How far a long command is: shown on a terminal alone, and drawn by another process where this one must not be held up."""
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -26,6 +27,27 @@ def test_a_terminal_alone_is_told(apart, capfd, monkeypatch):
         print("what a program reads")
     out, err = capfd.readouterr()
     assert out == "what a program reads\n" and "half of it" in err
+
+
+@pytest.mark.parametrize("apart", [False, True])
+@pytest.mark.parametrize(("total", "steps"), [(None, 2), (4.0, 0), (4.0, 2)])
+def test_the_time_left_is_shown_as_soon_as_it_is_known(apart, total, steps, capfd, monkeypatch):
+    """What takes as long as nobody knows shows for how long it has been at it."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with following(total, apart, doing="reading") as advance:
+        for _ in range(steps):
+            advance("reading", 1.0)
+            time.sleep(0.01)  # so that the two have a speed
+    err = capfd.readouterr().err
+    assert "reading" in err and "0:00:00" in err
+    assert ("left" in err) == (total is not None and steps == 2)
+
+
+def test_what_is_not_to_be_shown_is_not(capfd, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with following(2.0, shown=False) as advance:
+        advance("half of it", 1.0)
+    assert capfd.readouterr() == ("", "")
 
 
 HELD = """

@@ -1,13 +1,15 @@
 """Several models of the same recordings, compared by information criteria and by what they were not fitted to."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
 import numpy as np
 
 from hapjax import InputError, Recording, Scene
+from hapjax.progress import following
 
 from .fit import fit
 from .noise import lost
@@ -153,8 +155,11 @@ def _fitted(
             results[name] = fit(scene, recordings, free[name], **options)
             if results[name].interrupted:
                 return results, held
-        for name, result in results.items():
-            held[name] = _held_out(result, recordings, free[name], options)
+        shown = options.get("progress", False)
+        with following(float(len(models)), doing="held-out error", shown=shown) as advance:
+            for name, result in results.items():
+                told = partial(advance, f"held-out error of {name}")
+                held[name] = _held_out(result, recordings, free[name], options, told)
     except KeyboardInterrupt:
         if not results:
             raise
@@ -183,16 +188,24 @@ def _model(result: FitResult, held_out: float | None, options: Mapping[str, Any]
 
 
 def _held_out(
-    result: FitResult, recordings: Sequence[Recording], free: Selector, options: Mapping[str, Any]
+    result: FitResult,
+    recordings: Sequence[Recording],
+    free: Selector,
+    options: Mapping[str, Any],
+    advance: Callable[[float], Any],
 ) -> float | None:
-    """The root mean square, over the noise, of residuals of what each of several fits was not fitted to."""
+    """The root mean square, over the noise, of residuals of what each of several fits was not fitted to.
+
+    `advance` is told which share of them is done.
+    """
     if options.get("each"):
         return None  # of what was held out, its own numbers are not known
     square, count = 0.0, 0
     observe = options.get("observe", ("force", "pose"))
     channels = (observe,) if isinstance(observe, str) else tuple(observe)
     quick = {k: v for k, v in options.items() if k not in ("names", "starts", "spread", "seed", "progress")}
-    for kept, left in _parts(recordings, channels):
+    parts = _parts(recordings, channels)
+    for kept, left in parts:
         told = quick | {"noise": dict(result.noise), "starts": 1, "sensors": result.sensors}
         part = fit(result.scene, kept, free, **told)
         if part.interrupted:
@@ -204,6 +217,7 @@ def _held_out(
         if any(lost(r).any() for _, r in channels_of(found, held)):
             return None
         square, count = square + float(np.sum(np.asarray(found) ** 2)), count + numbers_in(groups)
+        advance(1 / len(parts))
     return float(np.sqrt(square / count)) if count else None
 
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from hapjax import Recording, Scene, cast
+from hapjax.progress import following as shown_by
 
 from . import robust
 from .arguments import check_count, check_names, check_recordings, check_search
@@ -102,10 +103,10 @@ def fit(
     sensors = explicit(sensors or Sensors(), paths_of(scene, free), scene.integrator.dt.dtype)
     scene = made_explicit(scene, paths_of(scene, free))
     apart = (each,) if isinstance(each, str) else tuple(each)
-    laid = [observation_of(scene, r, channels, name) for r, name in zip(recordings, names, strict=True)]
     dropped, begin, trace = frozenset(), None, Trace()
     showing = following(trace, max_steps) if progress else listen(trace)
     with stopping_at_interrupts(trace), showing:
+        laid = [observation_of(scene, r, channels, name) for r, name in zip(recordings, names, strict=True)]
         for attempt in count():
             trace.best.clear()
             left = without(laid, dropped)
@@ -153,4 +154,5 @@ def fit(
             found += tuple(correlated(channels_of(residuals, problem), noise or (), loss))
         return replace(result, findings=found)
 
-    return once_more(trace, told)
+    with shown_by(None, doing="intervals and findings", shown=progress):
+        return once_more(trace, told)

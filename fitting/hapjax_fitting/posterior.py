@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from hapjax import InputError
 from hapjax.extras import need
+from hapjax.progress import Advance, following
 
 from .breakaway import is_unseen
 from .problem import Problem, stacked_residuals
@@ -77,14 +78,15 @@ def check_numbers(samples: int, seed: int) -> None:
     need("blackjax", "posterior")
 
 
-def posterior(result: FitResult, samples: int = 1000, seed: int = 0) -> Posterior:
+def posterior(result: FitResult, samples: int = 1000, seed: int = 0, *, progress: bool = False) -> Posterior:
     """Draw from the posterior with the fit's own likelihood, by NUTS (Hoffman and Gelman 2014; blackjax).
 
     The log density is minus the fit's loss, over the variance that the residuals turned out to have; priors are those of
     the fit, and flat in the transformed numbers (logarithms) else. Two chains begin about the estimate; steps are taken in
     numbers that the covariance makes round. A sample takes some 3 to 15 gradients. It needs the extra `posterior`.
 
-    **Arguments:** `samples` of each chain, 50 to 100000, after a warm-up of 300; `seed`, 0 or above.
+    **Arguments:** `samples` of each chain, 50 to 100000, after a warm-up of 300; `seed`, 0 or above;
+    `progress`: show on the terminal how far it is.
 
     **Raises:** `InputError` where blackjax is missing, and where a number is not identified, since a flat prior then has no
     posterior, or is one whose likelihood has no gradient, such as a `mu_static`.
@@ -104,8 +106,14 @@ def posterior(result: FitResult, samples: int = 1000, seed: int = 0) -> Posterio
     spread = result.covariance if back is None else back @ result.covariance @ back.T
     root = jnp.asarray(np.linalg.cholesky(spread), free.dtype)
     variance = jnp.asarray(result.variance, free.dtype)
-    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        round_, diverged = _chains(jax.random.key(seed), free, root, variance, problem, samples)
+    total = float(_CHAINS * (_WARMUP + samples))
+    with (
+        jax.numpy_dtype_promotion("standard"),
+        jax.numpy_rank_promotion("allow"),
+        following(total, shown=progress) as advance,
+    ):
+        told = advance if progress else None
+        round_, diverged = _chains(jax.random.key(seed), free, root, variance, problem, samples, told)
         rhat, effective = _mixing(round_)
     found = free[None, None] + jnp.einsum("csi,ji->csj", round_, root)
     found, best = jax.vmap(jax.vmap(problem.report))(found), problem.report(free)[None, None]
@@ -134,28 +142,39 @@ def _mixing(draws: Array) -> tuple[list[float], list[float]]:
     return rhat, effective
 
 
-@partial(jax.jit, static_argnames="samples")
-def _chains(key, free, root, variance, problem: Problem, samples: int):
-    """Draws (chains, samples, p) in numbers of about unit variance, and which diverged."""
+@partial(jax.jit, static_argnames=("samples", "advance"))
+def _chains(key, free, root, variance, problem: Problem, samples: int, advance: Advance | None):
+    """Draws (chains, samples, p) in numbers of about unit variance, and which diverged; `advance` is told of each."""
     import blackjax
 
     def logdensity(x):
         return _logdensity(free + root @ x, variance, problem)
+
+    def tell(count: int, drawn: Array) -> None:
+        if advance is not None:
+            jax.debug.callback(partial(_tell, advance, float(count)), drawn)
 
     def chain(key):
         start, warm, run = jax.random.split(key, 3)
         begin = _APART * jax.random.normal(start, free.shape, free.dtype)
         adapt: Any = blackjax.window_adaptation(blackjax.nuts, logdensity)
         (state, tuned), _ = adapt.run(warm, begin, num_steps=_WARMUP)
+        tell(_WARMUP, state.position)
         kernel: Any = blackjax.nuts(logdensity, **tuned)
 
         def one(state, key):
             state, info = kernel.step(key, state)
+            tell(1, state.position)
             return state, (state.position, info.is_divergent)
 
         return jax.lax.scan(one, state, jax.random.split(run, samples))[1]
 
     return jax.lax.map(chain, jax.random.split(key, _CHAINS))
+
+
+def _tell(advance: Advance, count: float, drawn: Any) -> None:
+    """Tell of draws; `drawn` is not looked at, but without it nothing would wait for it to be drawn."""
+    advance("drawing", count)
 
 
 @jax.custom_vjp

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hapjax import InputError
+from hapjax.progress import following
 
 from .problem import loss_at, stacked_residuals
 from .reduced import reduced
@@ -27,6 +28,7 @@ _STEPS = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)  # standard errors
 _FURTHER, _FARTHEST = 1.5, 7.0  # times the last step, up to a factor of 1000 for logarithms
 _BISECTIONS = 8
 _MOST_STEPS = 30
+_OF_A_SIDE = len(_STEPS) + 2 * _BISECTIONS  # fits of one side, where the walk need not go further
 
 
 @dataclass(frozen=True)
@@ -98,13 +100,13 @@ def _refusal(name: str, allowed: Sequence[str], whole: bool) -> InputError:
     )
 
 
-def profile(result: FitResult, name: str) -> Profile:
+def profile(result: FitResult, name: str, *, progress: bool = False) -> Profile:
     """Walk away from a number's estimate on either side, and fit the others anew at each step.
 
     The interval so found needs no parabola: it may be lopsided, or open on one side, as that of a mu where nothing
     slips. It takes some 20 fits from near by.
 
-    **Arguments:** `name`, one of `result.parameters`.
+    **Arguments:** `name`, one of `result.parameters`; `progress`: show on the terminal how far it is.
 
     **Raises:** `InputError` where `name` was not free, or only as a part of a `pseudo_inertia`.
     """
@@ -117,13 +119,20 @@ def profile(result: FitResult, name: str) -> Profile:
     centre, free = float(result.free[i]), jnp.asarray(result.free)
     deviation = float(np.sqrt(result.covariance[i, i]))
     step = deviation if 0 < deviation < transform.widest else min(0.25, transform.widest)
-    lost = partial(_refitted, problem=problem, i=i)
+    refitted = partial(_refitted, problem=problem, i=i)
     least, variance = float(loss_at(free, problem)), result.variance * float(result.widened[i]) ** 2
     sides, edges = [], []
-    for side in (-1.0, 1.0):
-        walked = _walk(lost, free, centre, side * step, least, variance)
-        sides.append(walked)
-        edges.append([_edge(lost, walked, centre, least + chi * variance / 2) for chi in (CHI95, CHI99)])
+    with following(2.0 * _OF_A_SIDE, doing=f"profile of {name}", shown=progress) as advance:
+
+        def lost(x: float, near: Array) -> Point:
+            point = refitted(x, near)
+            advance(f"profile of {name}", 1.0)
+            return point
+
+        for side in (-1.0, 1.0):
+            walked = _walk(lost, free, centre, side * step, least, variance)
+            sides.append(walked)
+            edges.append([_edge(lost, walked, centre, least + chi * variance / 2) for chi in (CHI95, CHI99)])
     points = [(x, loss) for x, loss, _ in (*sides[0][::-1], (centre, least, free), *sides[1])]
     low, high = edges
     return Profile(

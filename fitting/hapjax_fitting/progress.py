@@ -1,39 +1,29 @@
 """The steps of a long fit on the terminal."""
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from hapjax.progress import following as shown_by
 
 from .solve import Trace, listen
 
 
 @contextmanager
-def following(trace: Trace, max_steps: int):
+def following(trace: Trace, max_steps: int) -> Iterator[Trace]:
     """Show, on stderr if it is a terminal, the solver's steps, the best loss so far and the time left while the block
     runs."""
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=20),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(elapsed_when_finished=False),
-    )
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("compiling", total=None)
+    with shown_by(1.0) as advance:
+        before = 0.0
 
         def on_step(start: int, step: int, loss: float) -> None:
+            nonlocal before
             best = min(min(losses.values()) for losses in trace.losses.values())
-            bar.update(
-                task,
-                total=trace.expected,
-                completed=done(trace, max_steps),
-                description=f"start {start + 1} of {trace.expected}, step {step}, loss {best:.6g}",
-            )
+            now = done(trace, max_steps) / trace.expected
+            advance(f"start {start + 1} of {trace.expected}, step {step}, loss {best:.6g}", now - before)
+            before = now
 
         trace.on_step = on_step
-        trace.on_stage = lambda stage: bar.update(task, description=stage)
+        trace.on_stage = lambda stage: advance(stage, 0.0)
         with listen(trace):
             yield trace
 

@@ -11,6 +11,7 @@ from ..errors import InputError
 from ..extras import need
 from ..files import check_apart, check_makeable, check_writable
 from ..processes import agreed, together
+from ..progress import following
 from ..recording import load_recording
 from ..recording.ros_topics import parsed
 from ..scene_file import load_scene
@@ -72,10 +73,12 @@ def fit(
         distributed: Share the work with the other processes of this job (SLURM, Open MPI), all with the same arguments.
         process: I N HOST:PORT, to share it outside such a job: this is process I of N, which meet where process 0 runs.
     """
-    fitting, topics = need("hapjax_fitting", "fitting"), parsed(topic)
+    topics = parsed(topic)
     _check_once(recordings)
     with jax.enable_x64(True), together(distributed, process):
         first = jax.process_index() == 0
+        with following(None, doing="loading the library", shown=first):
+            fitting = need("hapjax_fitting", "fitting")
         json, report = (json, report) if first else (None, None)
         check_apart([json], [scene, *recordings])
         if json is not None:
@@ -86,7 +89,10 @@ def fit(
             need("hapjax_fitting.profile", "fitting").check_names(profile, free, each)
         if posterior is not None:
             need("hapjax_fitting.posterior", "fitting").check_numbers(posterior, seed)
-        loaded, read = agreed(lambda: ([load_recording(p, topics) for p in recordings], load_scene(scene)))
+        with following(None, doing="reading", shown=first):
+            loaded, read = agreed(
+                lambda: ([load_recording(p, topics) for p in recordings], load_scene(scene))
+            )
         options: dict[str, Any] = {
             "observe": observe,
             "starts": starts,
@@ -111,7 +117,7 @@ def fit(
         Console().print(fitting.table(result))
         for finding in result.findings:
             print(f"finding: {finding}")
-        asked = _asked(fitting, result, profile, posterior, seed, suggest)
+        asked = _asked(fitting, result, profile, posterior, seed, suggest, first)
         found, stopped, refused = _as_far_as_it_goes(asked) if not stopped else ([], True, None)
         for kind, name, part in found:
             said.append(part)
@@ -125,7 +131,9 @@ def fit(
         if json is not None:
             result.save_json(json, figures)
         if report is not None:
-            print(f"report: {fitting.write_report(result, report, sections=sections)}")
+            with following(None, doing="drawing the report"):
+                written = fitting.write_report(result, report, sections=sections)
+            print(f"report: {written}")
     if refused is not None:
         raise refused
     return 130 if stopped else 0
@@ -140,14 +148,21 @@ def _check_once(recordings: tuple[Path, ...]) -> None:
         seen.add(path.resolve())
 
 
-def _asked(fitting, result, profile: tuple[str, ...], posterior: int | None, seed: int, suggest: bool):
+def _asked(
+    fitting, result, profile: tuple[str, ...], posterior: int | None, seed: int, suggest: bool, progress: bool
+):
     """What was asked for beside the fit, one after the other: what it is called in the figures, of which number, and it."""
     for name in profile:
-        yield "profiles", name, lambda name=name: fitting.profile(result, name)
+        yield "profiles", name, lambda name=name: fitting.profile(result, name, progress=progress)
     if posterior is not None:
-        yield "posterior", None, lambda: fitting.posterior(result, posterior, seed)
+        yield "posterior", None, lambda: fitting.posterior(result, posterior, seed, progress=progress)
     if suggest:
-        yield "suggestion", None, lambda: fitting.suggest(result)
+        yield "suggestion", None, lambda: _suggested(fitting, result, progress)
+
+
+def _suggested(fitting, result, progress: bool):
+    with following(None, doing="trying motions", shown=progress):
+        return fitting.suggest(result)
 
 
 def _as_far_as_it_goes(asked) -> tuple[list[tuple[str, str | None, Any]], bool, InputError | None]:

@@ -17,7 +17,7 @@ from ..scene import Scene
 from ..scene_file import load_scene
 from ..simulate import init, rollout
 
-_PIECE = 10_000  # steps from one word of how far it is to the next
+_PIECE = 1000  # steps from one word of how far it is to the next
 
 
 def simulate(scene: Positional[Path], *, hip: Path, out: Path, topic: tuple[str, ...] = ()) -> None:
@@ -38,7 +38,8 @@ def simulate(scene: Positional[Path], *, hip: Path, out: Path, topic: tuple[str,
     with jax.enable_x64(True):
         loaded = load_scene(scene)
         dt = float(loaded.integrator.dt)
-        recording = _loaded(hip, topics)
+        with following(None, doing="reading"):
+            recording = _loaded(hip, topics)
         with within(f"{hip}: "):
             path = recording.hip_every(dt)
             assert recording.hip_t is not None
@@ -58,7 +59,8 @@ def simulate(scene: Positional[Path], *, hip: Path, out: Path, topic: tuple[str,
         channels |= {"pose": poses, "pose_t": times + dt}  # a step's poses belong to its end
     with within(f"{scene} with {hip}: the simulation ended with "):
         answer = Recording(**channels)
-    answer.save(out)
+    with following(None, doing="writing"):
+        answer.save(out)
 
 
 def _answers(scene: Scene, path: np.ndarray, gimbals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

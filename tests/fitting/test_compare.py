@@ -15,6 +15,7 @@ from hapjax import InputError
 from hapjax.cli import main
 from hapjax_fitting import compare, with_laws
 from hapjax_fitting.compare import CRITERIA, _parts
+from helpers import followed
 
 STRIBECK = floor(mu_static=0.7, mu_kinetic=0.4, friction=hapjax.Stribeck(0.05, 0.5))
 
@@ -23,7 +24,11 @@ STRIBECK = floor(mu_static=0.7, mu_kinetic=0.4, friction=hapjax.Stribeck(0.05, 0
 def compared(made_by) -> Any:
     scene = {"cone": floor(0.5), "stribeck": STRIBECK}[made_by]
     scenes, free = with_laws(floor(0.45), ["cone", "stribeck"], BOTH)
-    return compare(scenes, recorded(scene, steps=208), free, starts=1, noise={"force": SIGMA})
+    with pytest.MonkeyPatch.context() as patch:
+        bars = followed(patch, sys.modules["hapjax_fitting.compare"])
+        found = compare(scenes, recorded(scene, steps=208), free, starts=1, noise={"force": SIGMA})
+    assert bars == [{"total": 2.0, "told": 2.0, "apart": False}]
+    return found
 
 
 @pytest.mark.slow

@@ -4,12 +4,14 @@ import sys
 from functools import cache
 from typing import Any
 
+import jax
 import numpy as np
 import pytest
 
 from fitting_cases import BOTH, MU, SIGMA, STIFFNESS, floor, recorded
 from hapjax import InputError
 from hapjax_fitting import fit, posterior
+from helpers import followed
 
 
 @cache
@@ -19,10 +21,13 @@ def fitted(length=0.02) -> Any:
 
 
 @pytest.mark.slow
-def test_with_little_noise_the_posterior_is_the_gauss_newton_one():
+def test_with_little_noise_the_posterior_is_the_gauss_newton_one(monkeypatch):
     pytest.importorskip("blackjax")
     result = fitted()
-    found: Any = posterior(result, samples=500)
+    bars = followed(monkeypatch, sys.modules["hapjax_fitting.posterior"])
+    found: Any = posterior(result, samples=500, progress=True)
+    jax.effects_barrier()
+    assert bars == [{"total": 1600.0, "told": 1600.0, "apart": False}]
     for name in BOTH:
         p = result.parameters[name]
         error = p.standard_error / np.sqrt(found.effective[name])

@@ -1,6 +1,7 @@
 """Profile likelihood: a parabola where the model is linear, lopsided or open where it is not."""
 
 import json
+import sys
 from functools import cache
 from typing import Any
 
@@ -13,6 +14,7 @@ from hapjax import InputError, Recording
 from hapjax.cli import main
 from hapjax_fitting import fit, profile
 from hapjax_fitting.profile import check_names
+from helpers import followed
 
 T, PATH = stroke(steps=200, length=0.0)
 DEPTH = np.maximum(-PATH[:, 0, 2], 0)
@@ -31,10 +33,12 @@ def pressed(sigma) -> Any:
 
 
 @pytest.mark.parametrize("sigma", [SIGMA, 5.0])
-def test_where_the_force_is_linear_in_the_number_the_interval_is_the_exact_one(sigma):
+def test_where_the_force_is_linear_in_the_number_the_interval_is_the_exact_one(sigma, monkeypatch):
     """Symmetric in the stiffness, so lopsided in its logarithm, which is what was fitted."""
     result, best, error = pressed(sigma)
+    bars = followed(monkeypatch, sys.modules["hapjax_fitting.profile"])
     found: Any = profile(result, STIFFNESS)
+    assert bars[0]["total"] == 44 <= bars[0]["told"] < 50  # a side may need a step more
     assert found.estimate == pytest.approx(best, rel=1e-5)
     np.testing.assert_allclose(found.interval95, best + error * np.array([-1.95996, 1.95996]), rtol=2e-3)
     np.testing.assert_allclose(found.interval99, best + error * np.array([-2.57583, 2.57583]), rtol=3e-3)
