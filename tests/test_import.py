@@ -19,14 +19,15 @@ BOX = trimesh.creation.box((0.06, 0.04, 0.02))
 
 MJCF = """
 <mujoco>
-  <compiler angle="radian" eulerseq="XYZ" meshdir="parts"/>
-  <option gravity="0 0 -9.7"/>
+  <compiler angle="radian" eulerseq="XYZ" meshdir="parts" strippath="true"/>
+  <option gravity="0 0 -1"/><option gravity="0 0 -9.7" timestep="0.001"/>
+  <default><geom density="500"/></default>
   <default>
-    <geom density="500"/>
     <default class="heavy"><geom density="4000" type="box" size="0.01 0.02 0.03"/></default>
+    <default class="turned"><geom euler="0.1 0.2 0.3" density="2000"/></default>
     <default class="seen"><geom contype="0" conaffinity="0" mass="0"/></default>
   </default>
-  <asset><mesh name="brick" file="brick.stl" scale="0.5 0.5 0.5"/></asset>
+  <asset><mesh name="brick" file="far/away/brick.stl" scale="0.5 0.5 0.5"/></asset>
   <worldbody>
     <light pos="0 0 3"/>
     <geom name="floor" type="plane" size="1 1 0.1"/>
@@ -45,6 +46,8 @@ MJCF = """
       <body pos="0 0.1 0" quat="1 0 1 0"><geom class="seen" type="sphere" size="0.03" mass="9"/>
         <inertial pos="0 0 0.1" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body>
     </body></frame>
+    <body name="own way" pos="0 5 1" childclass="turned"><freejoint/>
+      <geom type="box" size="0.01 0.02 0.03" quat="1 0 0 1"/></body>
     <body name="post" pos="4 0 0"><geom type="sphere" size="0.03"/></body>
   </worldbody>
 </mujoco>
@@ -97,13 +100,13 @@ def test_mjcf_is_read_as_mujoco_reads_it(folder):
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    names = ["by class", "by hand", "full", "mesh", "of several"]
+    names = ["by class", "by hand", "full", "mesh", "of several", "own way"]
     assert list(scene.object) == ["floor", *(n.replace(" ", "_") for n in names), "post"]
     for name in names:
         as_here(scene.object[name.replace(" ", "_")], model.body(name), data.body(name))
     assert scene.moving() == list(scene.object)[1:-1]
     kinds = [type(thing.shape).__name__ for thing in scene.object.values()]
-    assert kinds == ["Plane", "Box", "Cylinder", "Capsule", "Mesh", "Box", "Sphere"]
+    assert kinds == ["Plane", "Box", "Cylinder", "Capsule", "Mesh", "Box", "Box", "Sphere"]
     for name, kind in zip(names, kinds[1:], strict=False):
         thing: Any
         thing, geom = scene.object[name.replace(" ", "_")], int(model.body(name).geomadr[0])
@@ -134,6 +137,12 @@ def test_urdf_is_read_as_mujoco_reads_it(folder):
     assert list(scene.object) == ["_2_pieces"]
     as_here(scene.object["_2_pieces"], model.body("base"), data.body("base"))
     assert np.asarray(scene.object["_2_pieces"].position) == pytest.approx([0, 0, 0.05])
+
+
+def test_gravity_that_is_off_is_none(tmp_path):
+    option = "<option gravity='1 0 0'><flag gravity='disable'/></option>"
+    (tmp_path / "m.xml").write_text(f"<mujoco>{option}<worldbody><geom size='1'/></worldbody></mujoco>")
+    assert np.asarray(hapjax.load_model(tmp_path / "m.xml").world.gravity) == pytest.approx([0, 0, 0])
 
 
 @pytest.mark.parametrize("kind", SHAPES)
@@ -216,6 +225,22 @@ REFUSED = [
         "includes '/etc/passwd'; allowed: a model in one file",
     ),
     ("<mujoco><compiler coordinate='global'/></mujoco>", "coordinate is 'global'"),
+    ("<mujoco><compiler settotalmass='5'/></mujoco>", "settotalmass is '5'; allowed: -1"),
+    ("<mujoco><compiler boundmass='1'/></mujoco>", "boundmass is '1'; allowed: 0"),
+    ("<mujoco><compiler boundinertia='1'/></mujoco>", "boundinertia is '1'; allowed: 0"),
+    ("<mujoco><compiler inertiagrouprange='3 3'/></mujoco>", "inertiagrouprange is '3 3'; allowed: 0 5"),
+    (
+        "<mujoco><asset><mesh name='m' inertia='shell' vertex='0 0 0'/></asset></mujoco>",
+        "mesh m inertia is 'shell'; allowed: exact, legacy",
+    ),
+    (
+        "<mujoco><compiler inertiafromgeom='false'/><worldbody><body name='b'><freejoint/><geom size='1'/></body>"
+        "</worldbody></mujoco>",
+        "body b: mass is 0.0; allowed: above 0 kg",
+    ),
+    (world("<freejoint/><geom size='1' shellinertia='true'/>"), "body b: has a geom with shellinertia"),
+    (world("<geom size='1' quat='1 0 0 0' euler='0 0 0'/>"), "orientation is given as quat and euler"),
+    (world("").replace("'b'", "'b' gravcomp='1'"), "body b: gravcomp is '1'; allowed: 0"),
     ("<mujoco><option gravity='0 0'/><worldbody><geom size='1'/></worldbody></mujoco>", "gravity is '0 0'"),
     (world(""), "body b: has no shape"),
     (world("<geom size='1'/><geom size='2'/>"), "body b: has 2 shapes that collide and 0"),
@@ -281,7 +306,8 @@ def test_no_file_outside_the_folder_is_read(file, folder, tmp_path_factory):
         hapjax.InputError, match="file is .*; allowed: a relative path to a file in the folder"
     ):
         hapjax.load_model(folder / "m.urdf")
-    (folder / "m.xml").write_text(MJCF.replace('"parts"', '"."').replace("brick.stl", file))
+    text = MJCF.replace('"parts" strippath="true"', '"."').replace("far/away/brick.stl", file)
+    (folder / "m.xml").write_text(text)
     with pytest.raises(
         hapjax.InputError, match="file is .*; allowed: a relative path to a file in the folder"
     ):

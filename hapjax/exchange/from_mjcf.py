@@ -17,12 +17,16 @@ _IGNORED = ("site", "camera", "light")
 
 
 class _Geom(NamedTuple):
-    """A form, its density (kg/m^3) or, where it is given, its mass (kg), and whether either is said of itself."""
+    """A form, its density (kg/m^3) or, where it is given, its mass (kg), and whether either is said of itself.
+
+    `shell`: it weighs something at its surface alone.
+    """
 
     form: Form
     mass: float | None
     density: float
     said: bool
+    shell: bool
 
 
 class _Found(NamedTuple):
@@ -35,8 +39,12 @@ class _Found(NamedTuple):
 
 def gravity_of_mjcf(root: ET.Element) -> np.ndarray:
     """Gravity, m/s^2."""
-    given = [option.get("gravity") for option in root.findall("option")]
-    return numbers(next((g for g in given if g is not None), "0 0 -9.81"), 3, "option gravity")
+    text = "0 0 -9.81"
+    for option in root.findall("option"):  # what is said last counts
+        text = option.get("gravity", text)
+    gravity = numbers(text, 3, "option gravity")
+    flags = [flag.attrib["gravity"] for flag in root.iterfind("option/flag") if "gravity" in flag.attrib]
+    return np.zeros(3) if flags and flags[-1] == "disable" else gravity
 
 
 def parts_of_mjcf(root: ET.Element, folder: Path, hull: bool) -> list[Part]:
@@ -80,6 +88,10 @@ def _children(
 
 def _gather(body: ET.Element, pose: Pose, style: str | None, settings: Settings, found: _Found) -> None:
     """Take in a body that is at a pose, and the bodies that are fixed to it."""
+    if number(body.get("gravcomp", "0"), "gravcomp") != 0:
+        raise InputError(
+            f"gravcomp is {body.get('gravcomp')!r}; allowed: 0, since gravity pulls at all there is"
+        )
     geoms, weights = list[_Geom](), list[Weight]()
     for kind, element, place, own in _children(body, pose, style, settings):
         if kind == "body":
@@ -98,9 +110,10 @@ def _gather(body: ET.Element, pose: Pose, style: str | None, settings: Settings,
             if type_ != "free":
                 raise InputError(f"has a joint that is {type_}; allowed: free, or none")
             found.joints.append(element)
-    if weights and settings.compiler.get("inertiafromgeom") != "true":
+    from_geoms = settings.compiler.get("inertiafromgeom", "auto")
+    if from_geoms == "false" or (weights and from_geoms != "true"):
         found.weights.extend(weights)
-        geoms = [geom._replace(mass=0.0) for geom in geoms]
+        geoms = [geom._replace(mass=0.0, said=False) for geom in geoms]
     found.geoms.extend(geoms)
 
 
@@ -113,7 +126,8 @@ def _geom(element: ET.Element, place: Pose, style: str | None, settings: Setting
         raise InputError(f"geom weighs {density if mass is None else mass}; allowed: 0 or above")
     form = form_of(element, style, settings)
     said = "mass" in element.attrib or "density" in element.attrib
-    return _Geom(form._replace(pose=place.then(form.pose)), mass, density, said)
+    shell = given.get("shellinertia") == "true"
+    return _Geom(form._replace(pose=place.then(form.pose)), mass, density, said, shell)
 
 
 def _inertial(element: ET.Element, settings: Settings) -> Weight:
@@ -140,6 +154,8 @@ def _weight_of(geom: _Geom, folder: Path, hull: bool) -> Weight:
     """The weight of a geom of uniform density, in the frame of its body."""
     if geom.mass == 0 or (geom.mass is None and geom.density == 0):
         return Weight(0.0, np.zeros(3), np.zeros((3, 3)))
+    if geom.shell:
+        raise InputError("has a geom with shellinertia; allowed: one that weighs something all through")
     shape = shape_of(geom.form, folder, hull)
     volume, centre, per_mass = shape.volume(), shape.centre(), shape.inertia_per_mass()
     if volume is None or per_mass is None:

@@ -12,6 +12,15 @@ from .markup import numbers
 from .parts import Form, Pose, turn_of
 
 _MAIN = "main"
+_TURNS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
+# What the compiler can do to what bodies weigh, and with what it leaves it as it is.
+_UNCHANGED = {
+    "coordinate": "local",
+    "settotalmass": "-1",
+    "boundmass": "0",
+    "boundinertia": "0",
+    "inertiagrouprange": "0 5",
+}
 
 
 class Settings(NamedTuple):
@@ -25,11 +34,12 @@ class Settings(NamedTuple):
     def of(cls, root: ET.Element) -> "Settings":
         """The settings of a model."""
         compiler = {key: value for each in root.findall("compiler") for key, value in each.attrib.items()}
-        if compiler.get("coordinate", "local") != "local":
-            raise InputError(f"compiler coordinate is {compiler['coordinate']!r}; allowed: local")
+        for name, allowed in _UNCHANGED.items():
+            if compiler.get(name, allowed) != allowed:
+                raise InputError(f"compiler {name} is {compiler[name]!r}; allowed: {allowed}")
         settings = cls(compiler, {}, {})
         for top in root.findall("default"):
-            settings._take(top, _MAIN, {})
+            settings._take(top, _MAIN, settings.classes.get(_MAIN, {}))
         for asset in root.findall("asset"):
             for element in asset.findall("mesh"):
                 name, fields = settings._mesh(element)
@@ -41,14 +51,14 @@ class Settings(NamedTuple):
         name = element.get("class", style) or _MAIN
         if name not in self.classes and name != _MAIN:
             raise InputError(f"class is {name!r}; allowed: {', '.join(self.classes) or 'none'}")
-        return {**self.classes.get(name, {}).get(element.tag, {}), **element.attrib}
+        return _over(self.classes.get(name, {}).get(element.tag, {}), element.attrib)
 
     def _take(self, default: ET.Element, name: str, above: Mapping[str, dict[str, str]]) -> None:
         """A class and those within it, which begin with what it has."""
         own = {tag: dict(given) for tag, given in above.items()}
         for element in default:
             if element.tag != "default":
-                own[element.tag] = {**own.get(element.tag, {}), **element.attrib}
+                own[element.tag] = _over(own.get(element.tag, {}), element.attrib)
         self.classes[name] = own
         for inner in default.findall("default"):
             self._take(inner, inner.get("class", ""), own)
@@ -61,6 +71,8 @@ class Settings(NamedTuple):
         for other in ("refpos", "refquat", "builtin"):
             if other in given:
                 raise InputError(f"mesh {name} has {other}; allowed: none")
+        if given.get("inertia", "exact") not in ("exact", "legacy"):
+            raise InputError(f"mesh {name} inertia is {given['inertia']!r}; allowed: exact, legacy")
         scale = numbers(given.get("scale", "1 1 1"), 3, f"mesh {name} scale")
         if np.ptp(scale) != 0:
             raise InputError(f"mesh {name} scale is {given['scale']!r}; allowed: the same along all axes")
@@ -69,8 +81,17 @@ class Settings(NamedTuple):
             if len(points) % 3:
                 raise InputError(f"mesh {name} vertex has {len(points)} numbers; allowed: three a vertex")
             return name, {"points": points.reshape(-1, 3), "scale": float(scale[0])}
+        if self.compiler.get("strippath") == "true":
+            file = PurePosixPath(file).name
         place = self.compiler.get("meshdir", self.compiler.get("assetdir", ""))
         return name, {"file": str(PurePosixPath(place) / file), "scale": float(scale[0])}
+
+
+def _over(inherited: Mapping[str, str], own: Mapping[str, str]) -> dict[str, str]:
+    """Attributes, with those that are inherited. Of the ways to say an orientation only the nearest counts."""
+    turned = any(way in own for way in _TURNS)
+    kept = {name: text for name, text in inherited.items() if not (turned and name in _TURNS)}
+    return {**kept, **own}
 
 
 def pose_of(given: Mapping[str, str], settings: Settings) -> Pose:
@@ -138,6 +159,9 @@ def _turn(given: Mapping[str, str], settings: Settings) -> np.ndarray:
     """The matrix of an orientation in any of MJCF's ways."""
     from scipy.spatial.transform import Rotation  # here, since it takes a while to load
 
+    ways = [way for way in _TURNS if way in given]
+    if len(ways) > 1:
+        raise InputError(f"orientation is given as {' and '.join(ways)}; allowed: one of them")
     degrees = settings.compiler.get("angle", "degree") == "degree"
     if "axisangle" in given:
         *axis, angle = numbers(given["axisangle"], 4, "axisangle")
