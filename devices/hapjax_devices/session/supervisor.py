@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from ..device import DeviceError
 from ..falcon import let_go
 from ..ending import ENDING
 from ..recorder import RecorderProcess
+from .dealt import dealt
 from .figures import Figures
 from .process import ServoProcess
 from .settings import Session
@@ -60,6 +62,10 @@ def supervise(
     if view is not None:
         viewer.check(*view)
     services.check_free(session.run)
+    tables, order = dealt(session.devices)
+    session = replace(session, devices=tables)
+    if order:
+        _say(order)
     with _asked() as asked:
         watch = _Watch(session, record, Display(display if sys.stdout.isatty() else 0.0), tuning, view)
         code = watch.until(asked)
