@@ -240,6 +240,8 @@ ARGUMENTS = [
     ),
     (["import", "{scene}", "--out", "{scene}"], ["scene.toml", "another file"]),
     (["recover", "{hip}", "--out", "{folder}/w.mcap", "--json", "{hip}"], ["hip.npz", "another file"]),
+    (["recover", "."], [": .: cannot be read"]),
+    (["export", ".", "--to", "urdf"], [": .: cannot be read"]),
     (["benchmark"], ["missing"]),
     (["benchmark", "speed"], ["speed", "latency"]),
     (["benchmark", "latency", "--fingers", "0"], ["fingers", "1 to 100"]),

@@ -100,10 +100,17 @@ def test_there_is_no_window_of_what_is_too_short_torn_or_never_let_go():
     assert window.cut() is None
     held = Window(1.5, RATE, 0.2)
     filled(held, rubbing(4.0), force=1.0)
-    assert held.cut() is None
+    assert held.cut() is None and held.lacks == ""  # it may come yet
+    filled(held, rubbing(0.5), 4000, force=1.0)
+    assert (
+        held.cut() is None
+        and "touched something all the time in the last 4.5 s; a window of 1.5" in held.lacks
+    )
     idle = Window(1.5, RATE, 0.2)
-    filled(idle, np.full((4000, 1, 3), 1e-3))
-    assert idle.cut() is None
+    filled(idle, np.full((4500, 1, 3), 1e-3))
+    assert idle.cut() is None and idle.lacks == "no finger touched anything in the last 4.5 s"
+    filled(idle, rubbing(1.6), 4500)
+    assert idle.cut() is not None and idle.lacks == ""
 
 
 def test_what_only_the_sensor_feels_is_a_touch_too():
@@ -185,8 +192,8 @@ def test_of_a_list_only_what_is_named_changes():
 class Script(process.Tuner, process._Listener):
     """A tuner and a listener that follow a script: at each look, whether there is an estimate, and whether it is asked."""
 
-    def __init__(self, looks, monkeypatch):
-        self.looks, self.now, self.estimates, self.told = looks, -1, {}, []
+    def __init__(self, looks, monkeypatch, why=()):
+        self.looks, self.now, self.estimates, self.told, self._why = looks, -1, {}, [], why
         monkeypatch.setattr(process, "_asked", lambda: self.looks[self.now][1])
         monkeypatch.setattr(process, "_tell", self.told.append)
         monkeypatch.setattr(process, "_AGAIN", 0.0)
@@ -196,6 +203,10 @@ class Script(process.Tuner, process._Listener):
     def over(self):
         self.now += 1
         return self.now == len(self.looks)
+
+    @property
+    def lacks(self):
+        return self._why[self.now] if self._why else ""
 
     def chunk(self):
         return None
@@ -221,6 +232,13 @@ def test_it_is_handed_over_when_asked_or_always(always, told, monkeypatch):
     script = Script([(False, False), (False, True), (True, False), (False, True), (True, False)], monkeypatch)
     process._loop(script, script, always)
     assert script.told == told
+
+
+def test_why_there_is_no_estimate_is_said_once(monkeypatch):
+    why = ["", "no touch", "no touch", "no gap", "no touch"]
+    script = Script([(False, False)] * len(why), monkeypatch, why)
+    process._loop(script, script, True)
+    assert script.told == [{"sentence": f"no estimate: {why}"} for why in ("no touch", "no gap")]
 
 
 def test_what_is_tuned_by_default_is_mu_and_stiffness_of_all_that_is_felt():

@@ -33,7 +33,8 @@ def export(
         object: Of urdf: which object; absent: the only one that moves.
         json: File for what was written and what was left out; - is standard output.
     """
-    target = scene.with_suffix(".xml" if to == "mjcf" else ".urdf") if out is None else out
+    ending = "xml" if to == "mjcf" else "urdf"
+    target = scene.parent / f"{scene.stem}.{ending}" if out is None else out
     check_apart([target, json], [scene])
     if json is not None:
         check_writable(json)

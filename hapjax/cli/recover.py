@@ -21,7 +21,7 @@ def recover(recording: Positional[Path], *, out: Path | None = None, json: Path 
     """
     from ..recording.recovering import recover as recovering
 
-    target = recording.with_name(f"{recording.stem}-recovered.mcap") if out is None else out
+    target = recording.parent / f"{recording.stem}-recovered.mcap" if out is None else out
     check_apart([json], [recording, target])
     if json is not None:
         check_writable(json)

@@ -78,6 +78,11 @@ class Tuner:
         """Measure what CHUNK ticks were."""
         self._window.add(ticks, self._sensor.measure(ticks["hip"], ticks["gimbal"]))
 
+    @property
+    def lacks(self) -> str:
+        """Why there is nothing that could be estimated, in words, where that has been so for long."""
+        return self._window.lacks
+
     def estimate(self) -> dict[str, Any] | None:
         """What a fit to the newest window finds, for the user and for a file; `None` where there is no new window."""
         recording = self._window.cut()
@@ -158,7 +163,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _loop(tuner: Tuner, listener: _Listener, always: bool) -> None:
-    again = 0.0
+    again, lacked = 0.0, {""}
     while not listener.over:
         while (ticks := listener.chunk()) is not None:
             tuner.take(ticks)
@@ -167,6 +172,9 @@ def _loop(tuner: Tuner, listener: _Listener, always: bool) -> None:
             found, again = tuner.estimate(), time.monotonic() + _AGAIN
         if found is not None:
             _tell(found)
+        if tuner.lacks not in lacked:
+            lacked.add(tuner.lacks)
+            _tell({"sentence": f"no estimate: {tuner.lacks}"})
         if _asked() or (always and found is not None and tuner.estimates):
             _tell(tuner.adopt())
         time.sleep(PERIOD)

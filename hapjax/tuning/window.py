@@ -17,12 +17,15 @@ class Window:
     In the middle of a touch a model could not know how friction is stretched; at a window's beginning it takes it to be not.
 
     **Arguments:** how long the window is, `seconds`; the `rate` of ticks, Hz; `least`, N, a measured force that is a touch.
+
+    **Attributes:** `lacks`, why there was none when it was last cut, though there were enough ticks, in words.
     """
 
     def __init__(self, seconds: float, rate: float, least: float):
         self._rate, self._least, self.length = rate, least, round(seconds * rate)
         self._parts: list[tuple[np.ndarray, Measured]] = []
         self._from = -self.length  # the tick at which the last window began
+        self.lacks = ""
 
     def add(self, ticks: np.ndarray, measured: Measured) -> None:
         """Note ticks, as a `TickReader` takes them, and what was measured then. Where some were lost, it begins anew."""
@@ -35,7 +38,9 @@ class Window:
     def cut(self) -> Recording | None:
         """The newest window that begins without a touch and has some; `None` where there is none, or half of it was in
         the one before."""
-        if sum(len(part) for part, _ in self._parts) <= self.length:
+        self.lacks = ""
+        count = sum(len(part) for part, _ in self._parts)
+        if count <= self.length:
             return None
         ticks = np.concatenate([part for part, _ in self._parts])
         force = np.concatenate([measured.force for _, measured in self._parts])
@@ -44,6 +49,8 @@ class Window:
             axis=1
         )
         begins = np.flatnonzero(~touching[: len(ticks) - self.length])
+        if count >= KEPT * self.length:
+            self.lacks = self._lack(touching, begins)
         if not len(begins):
             return None
         cut = slice(begins[-1], begins[-1] + self.length)
@@ -52,6 +59,14 @@ class Window:
             return None
         self._from = first
         return self._recording(ticks[cut], force[cut], pose[cut])
+
+    def _lack(self, touching: np.ndarray, begins: np.ndarray) -> str:
+        last, window = f"in the last {KEPT * self.length / self._rate:g} s", f"{self.length / self._rate:g} s"
+        if not touching.any():
+            return f"no finger touched anything {last}"
+        if not len(begins):
+            return f"some finger touched something all the time {last}; a window of {window} begins where none does"
+        return ""
 
     def _recording(self, ticks: np.ndarray, force: np.ndarray, pose: np.ndarray) -> Recording:
         times = ticks["tick"] / self._rate

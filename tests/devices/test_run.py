@@ -250,22 +250,35 @@ def test_a_session_ends_at_each_signal_that_would_end_or_suspend_it(name):
     assert signal.getsignal(number) is before
 
 
+class Ended:
+    """A servo that has ended before it began."""
+
+    pid, how = os.getpid(), -signal.SIGKILL
+
+    def __init__(self, session):
+        pass
+
+    def code(self):
+        return self.how
+
+    def stop(self):
+        pass
+
+    def wait(self, timeout):
+        return self.how, ()
+
+
+@pytest.mark.parametrize(
+    ("how", "words"), [(-signal.SIGTERM, "killed (SIGTERM)"), (128 + signal.SIGTERM, "ended (SIGTERM)")]
+)
+def test_a_servo_that_somebody_else_ends_before_it_begins_is_told_of(how, words, table, monkeypatch, capfd):
+    monkeypatch.setattr(supervisor, "ServoProcess", type("Servo", (Ended,), {"how": how}))
+    assert main(["run", str(table), "--device", "virtual", "--name", f"ended-{os.getpid()}"]) == 1
+    out, error = capfd.readouterr()
+    assert out == "" and f"hapjax: the servo's process was {words} before its first tick\n" in error
+
+
 def test_falcons_of_a_servo_that_was_killed_are_told_to_push_no_more(table, monkeypatch, capfd):
-    class Killed:
-        pid = os.getpid()
-
-        def __init__(self, session):
-            pass
-
-        def code(self):
-            return -signal.SIGKILL
-
-        def stop(self):
-            pass
-
-        def wait(self, timeout):
-            return -signal.SIGKILL, ()
-
     told = []
 
     def let_go(serial):
@@ -273,7 +286,7 @@ def test_falcons_of_a_servo_that_was_killed_are_told_to_push_no_more(table, monk
         if serial == "FT1":
             raise DeviceError("the Falcon FT1 is not attached")
 
-    monkeypatch.setattr(supervisor, "ServoProcess", Killed)
+    monkeypatch.setattr(supervisor, "ServoProcess", Ended)
     monkeypatch.setattr(supervisor, "let_go", let_go)
     devices = table.parent / "devices.toml"
     falcons = [f"[[device]]\ntype = 'falcon'\nserial = '{serial}'\n" for serial in ("FT1", "FT2")]

@@ -17,8 +17,8 @@ from hapjax.tuning.settings import Tuning
 from .. import viewer
 from ..bus import TickReader, services
 from ..device import DeviceError
-from ..falcon import let_go
 from ..ending import ENDING
+from ..falcon import let_go
 from ..recorder import RecorderProcess
 from .dealt import dealt
 from .figures import Figures
@@ -134,15 +134,13 @@ class _Watch:
             self._tuner.end()
         if self._viewer is not None:
             self._viewer.end(_END)
-        unbegun = code == 128 + signal.SIGTERM or (code < 0 and reader is None)
+        unbegun = code > 128 or (code < 0 and reader is None)
         if _to_end(asked) and unbegun:
             code = 0
-        elif code < 0:
-            self._let_go()
-            tick = self._figures.ticks - 1
-            _say(f"the servo's process was killed ({signal.Signals(-code).name}) after tick {tick}")
+        elif code < 0 or code > 128:
+            code = self._cut_short(code)
         self._finish_recording(code == 0 and reader is None)
-        return 1 if code < 0 or (code == 0 and self._failed) else code
+        return 1 if code == 0 and self._failed else code
 
     def figures(self) -> dict[str, Any]:
         """What there is to say of the session at its end."""
@@ -203,6 +201,16 @@ class _Watch:
             _say(f"the process that estimates has ended (exit code {tuner.code()}); the servo goes on")
             tuner.end()
             self._tuner, self._failed = None, True
+
+    def _cut_short(self, code: int) -> int:
+        """Say that a signal from elsewhere has ended the servo, which has let go by itself where it could; the exit code."""
+        killed = code < 0
+        if killed:
+            self._let_go()
+        ticks, name = self._figures.ticks, signal.Signals(-code if killed else code - 128).name
+        when = f"after tick {ticks - 1}" if ticks else "before its first tick"
+        _say(f"the servo's process was {'killed' if killed else 'ended'} ({name}) {when}")
+        return 1
 
     def _let_go(self) -> None:
         """Stop those devices that go on pushing when their process is killed."""
