@@ -199,6 +199,16 @@ def test_a_given_centre_and_place_are_kept(tmp_path):
     assert run.model.opt.gravity == pytest.approx([0, 0, 0])
 
 
+def test_names_are_not_given_twice(tmp_path):
+    ball = hapjax.Sphere(0.03)
+    objects = {"a": hapjax.Object(ball, None, hapjax.Body(MASS, rotation=False))}
+    objects |= {f"a_{axis}": hapjax.Object(ball, None, hapjax.Body(MASS)) for axis in "xyz"}
+    assert Run(hapjax.Scene(objects), tmp_path / "scene.xml").model.nv == 3 + 3 * 6
+    with pytest.raises(hapjax.InputError, match="object is named 'world', .* allowed: any other"):
+        hapjax.save_mjcf(hapjax.Scene({"world": objects["a"]}), tmp_path / "other.xml")
+    assert not (tmp_path / "other.xml").exists()
+
+
 # What touches what ----------------------------------------------------------------------------------------
 
 

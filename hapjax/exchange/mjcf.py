@@ -9,6 +9,7 @@ import numpy as np
 
 from ..body import Body, centre_within, inertia_of
 from ..contact import Contact
+from ..errors import InputError
 from ..scene import Object, Scene
 from ..shape import Box, Capsule, Cylinder, Mesh, Plane, Shape, Sphere
 from ..surface import Surface
@@ -44,9 +45,11 @@ def save_mjcf(scene: Scene, path: str | os.PathLike[str]) -> tuple[str, ...]:
 
     **Returns:** what of the scene MJCF has no word for, a sentence each. They stand in the file, too, as comments.
 
-    **Raises:** `InputError` where a file cannot be written.
+    **Raises:** `InputError` where a file cannot be written, or an object is named `world`, as MuJoCo's own body is.
     """
     path = model_path(path, ".xml")
+    if "world" in scene.object:
+        raise InputError("object is named 'world', as MuJoCo's own body is; allowed: any other name")
     root, step, left_out = ET.Element("mujoco", model=path.stem), _time_step(scene), tuple(_left_out(scene))
     root.extend(ET.Comment(f" {sentence} ") for sentence in left_out)
     _options(root, scene, step)
@@ -117,7 +120,8 @@ def _joints(body: ET.Element, name: str, moving: Body) -> None:
         ET.SubElement(body, "freejoint", name=name)
         return
     for axis, way in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"), strict=True):
-        ET.SubElement(body, "joint", name=f"{name}_{axis}", type="slide", axis=way)
+        # With a dot, since no object has one in its name.
+        ET.SubElement(body, "joint", name=f"{name}.{axis}", type="slide", axis=way)
 
 
 def _inertial(body: ET.Element, moving: Body, shape: Shape) -> None:
