@@ -8,6 +8,7 @@ from tyro.conf import FlagCreatePairsOff, Positional
 from ..errors import InputError
 from ..extras import need
 from ..files import check_apart
+from ..progress import following
 from ..scene_file import load_scene
 from ..tuning.settings import Tuning, tuned_by_default
 
@@ -70,7 +71,9 @@ def run(
         display: Lines a second on a terminal, 0.1 to 10.
         json: File for the figures; - is standard output.
     """
-    session, tuning = need("hapjax_devices.session", "devices"), None
+    tuning = None
+    with following(None, doing="loading the library"):
+        session = need("hapjax_devices.session", "devices")
     check_apart([record, json], [scene, hip, devices, truth])
     if tune:
         need("hapjax_fitting", "fitting")
@@ -85,7 +88,8 @@ def run(
     readers = 1 + (record is not None) + tune
     options = {"rate": rate, "seconds": seconds, "live": live, "passivity": passivity, "readers": readers}
     options |= {"max_force": max_force, "slew": slew, "ramp": ramp}
-    wanted = session.Session.of(name, scene, device, devices, hip, **options)
+    with following(None, doing="reading"):
+        wanted = session.Session.of(name, scene, device, devices, hip, **options)
     if not (view or wanted.by_mouse):
         if (host, port) != (HOST, PORT):
             raise InputError("--host and --port are of --view; allowed: with it")

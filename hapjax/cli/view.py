@@ -5,6 +5,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from ..extras import need
+from ..progress import following
 from .run import HOST, PORT
 
 
@@ -21,5 +22,7 @@ def view(
         host: Address of the page; on another than 127.0.0.1 anyone who reaches it sees it.
         port: Port of the page, 0 for any that is free.
     """
-    need("hapjax_devices.viewer", "devices").check(host, port)
-    return need("hapjax_devices.viewer.replay", "viewer").replay(recording, scene, host, port)
+    with following(None, doing="loading the library"):
+        need("hapjax_devices.viewer", "devices").check(host, port)
+        viewer = need("hapjax_devices.viewer.replay", "viewer")
+    return viewer.replay(recording, scene, host, port)
