@@ -201,12 +201,57 @@ LARGE = {".npz": 1_000_000, ".parquet": 400_000, ".csv": 40_000, ".mcap": 30_000
 @pytest.mark.parametrize("part", [pytest.param(1.0, marks=pytest.mark.slow), 0.1])
 def test_large_files_that_shrank_take_no_more_than_20_times_their_size(suffix, part, tmp_path):
     content = resting(tmp_path, suffix, int(LARGE[suffix] * part))
-    small = tmp_path / f"small{suffix}"  # what a process takes for itself is taken before
+    check_room(tmp_path, suffix, content)
+
+
+def check_room(folder: Path, suffix: str, content: bytes) -> None:
+    small = folder / f"small{suffix}"  # what a process takes for itself is taken before
     Recording(**ARRAYS).save(small)
     load_recording(small)
     gc.collect()
     before = memory("VmRSS") if forget_peak() else None
-    check(tmp_path / f"b{suffix}", content, None, load_recording, before, margin=4 * 2**20)
+    check(folder / f"b{suffix}", content, None, load_recording, before, margin=4 * 2**20)
+
+
+def gone_back() -> bytes:
+    """Angles of which one comes too late, as small as the format makes them."""
+    gimbal, t = np.zeros((400_000, 8), "u1"), np.arange(400_000.0)
+    gimbal[:, :2] = RNG.integers(0, 256, (400_000, 2))  # so that it does not shrink to less than may be read
+    gimbal[:, 6:] = 0xF0, 0x3F
+    t[100] = 3.0
+    file = io.BytesIO()
+    np.savez_compressed(file, gimbal=gimbal.view("f8"), gimbal_t=t)
+    return file.getvalue()
+
+
+NAMES = b",".join(b"gimbal%d" % i for i in range(100_000))
+# What Python's objects would take far more room for than its text does: refused before they are made.
+DENSE = {
+    "names": (".csv", b"t," + NAMES + b"\n0\n", "line 1: expected a row of at most 262144 characters"),
+    "cells": (
+        ".csv",
+        b"t,gimbal0\n0,1\n" + b"12," * 400_000,
+        "line 3: expected a row of at most 262144 characters",
+    ),
+    "lines of a cell": (".csv", b"t,gimbal0\n0,1\n" + b'"\n",' * 200_000, "expected a row of at most"),
+    "lists": (
+        ".mcap",
+        json_file(b'{"t": 0, "fingers": [' + b"[]," * 400_000 + b"[]]}"),
+        "hip, message 0: expected at most 65536 bytes",
+    ),
+}
+
+
+def test_a_time_that_goes_back_takes_no_more_than_20_times_the_size(tmp_path):
+    check_room(tmp_path, ".npz", gone_back())
+
+
+@pytest.mark.parametrize("name", DENSE)
+def test_what_would_take_far_more_as_objects_is_refused(name, tmp_path):
+    suffix, content, said = DENSE[name]
+    check_room(tmp_path, suffix, content)
+    with pytest.raises(InputError, match=said):
+        load_recording(tmp_path / f"b{suffix}")
 
 
 @pytest.fixture

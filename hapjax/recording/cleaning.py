@@ -3,6 +3,7 @@
 Only what cannot be a measurement is dropped. What could be one, and what cannot be put right, is reported.
 """
 
+from array import array
 from bisect import bisect_left
 from collections.abc import Iterator
 from pathlib import Path
@@ -104,7 +105,7 @@ def _clock(channel: str, values: np.ndarray, times: np.ndarray) -> tuple[np.ndar
     flat = values.reshape(len(values), -1)
     same[1:] = (times[1:] == times[:-1]) & (flat[1:] == flat[:-1]).all(axis=1)
     once = np.flatnonzero(~same)
-    keep = once[_longest_increase(times[once])]
+    keep = once[_longest_increase(_at(times, once))]
     late = ~same
     late[keep] = False
     findings = _dropped(
@@ -116,11 +117,12 @@ def _clock(channel: str, values: np.ndarray, times: np.ndarray) -> tuple[np.ndar
 
 def _together(channel: str, times: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
     """The most samples between which the clock never jumps ahead far beyond what was recorded."""
-    everything = np.arange(len(times))
     if len(times) < _FEW:
-        return everything, []
+        return np.arange(len(times)), []
+    pause = longest_pause(times)  # before there are other arrays as large as those that it makes
     with np.errstate(over="ignore"):
-        far = np.flatnonzero(np.diff(times) > longest_pause(times))
+        far = np.flatnonzero(np.diff(times) > pause)
+    everything = np.arange(len(times))
     if not len(far):
         return everything, []
     ends = np.concatenate([[0], far + 1, [len(times)]])
@@ -128,35 +130,34 @@ def _together(channel: str, times: np.ndarray) -> tuple[np.ndarray, list[Finding
     keep = everything[ends[longest] : ends[longest + 1]]
     lost = np.ones(len(times), bool)
     lost[keep] = False
-    what = f"are more than {longest_pause(times):.4g} s from all others, far longer than was recorded"
+    what = f"are more than {pause:.4g} s from all others, far longer than was recorded"
     return keep, _dropped(channel, "time jump", what, times, lost)
 
 
 def _longest_increase(times: np.ndarray) -> np.ndarray:
     """The indices of a longest strictly increasing subsequence (Fredman 1975): to keep them drops the fewest."""
-    ends: list[float] = []
-    places: list[int] = []
-    before = np.full(len(times), -1)
-    for i, time in enumerate(times.tolist()):
-        k = bisect_left(ends, time)
+    times = times.astype(np.float64, copy=False)
+    # Not lists, which take four times the room. Of each length the place of the least end so far.
+    places, before = array("q"), array("q", bytes(8 * len(times)))
+    for i, time in enumerate(times.data):
+        goes_on = not places or time > times[places[-1]]
+        k = len(places) if goes_on else bisect_left(places, time, key=times.item)
         before[i] = places[k - 1] if k else -1
-        ends[k : k + 1], places[k : k + 1] = [time], [i]
-    chain, i = [], places[-1] if places else -1
-    while i >= 0:
-        chain.append(i)
-        i = int(before[i])
-    return np.array(chain[::-1], int)
+        places[k : k + 1] = array("q", [i])
+    i = places[-1] if places else -1
+    for k in range(len(places) - 1, -1, -1):
+        places[k], i = i, before[i]
+    return np.asarray(places)
 
 
 def _held(channel: str, values: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, list[Finding]]:
     """The samples that a slower sensor made, where a recorder repeated each until the next one came."""
     everything = np.arange(len(times))
     flat = values.reshape(len(values), -1)
-    begins = (
-        np.flatnonzero(np.concatenate([[True], (flat[1:] != flat[:-1]).any(axis=1)]))
-        if len(flat)
-        else everything
-    )
+    new = np.append(True, (flat[1:] != flat[:-1]).any(axis=1))[: len(flat)]
+    if np.count_nonzero(new[1:] & new[:-1]) > np.count_nonzero(new) / 2 + 1:
+        return everything, []  # most come once: told without more arrays
+    begins = np.flatnonzero(new)
     lengths = np.diff(np.append(begins, len(flat)))
     inner = lengths[1:-1]
     if len(inner) < _FEW:

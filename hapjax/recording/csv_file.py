@@ -4,6 +4,7 @@ import csv
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -12,15 +13,17 @@ from ..files import replacing
 from . import columns
 from .content import Content
 
+_LONGEST = 2**18  # characters: cells take up to 30 times their room
+
 
 def read(path: Path) -> Content:
     """What a CSV file holds. A row of a channel is called by its line.
 
-    **Raises:** `hapjax.InputError` for an unknown, missing or repeated column, a row of the wrong length, a
-    cell that is no number, or a part of a sample; `OSError` if the file cannot be opened.
+    **Raises:** `hapjax.InputError` for an unknown, missing or repeated column, a row of the wrong length or
+    one of over 256 KiB, a cell that is no number, or a part of a sample; `OSError` if the file cannot be opened.
     """
     with open(path, encoding="utf-8-sig", newline="") as file:
-        rows = _rows(path, csv.reader(file))
+        rows = _rows(path, file)
         head, header = next(rows, (0, []))
         if not header:
             raise InputError(f"{path}: expected a line of column names, found an empty file")
@@ -64,10 +67,23 @@ def write(arrays: dict[str, np.ndarray], path: Path) -> None:
         writer.writerows(zip(*cells, strict=True))
 
 
-def _rows(path: Path, reader) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path, file: TextIO) -> Iterator[tuple[int, list[str]]]:
     """Line number (from 1) and cells, without the spaces around them, of each row that is not blank."""
+    length = 0
+
+    def lines():
+        nonlocal length
+        while line := file.readline(_LONGEST + 1):
+            length += len(line)
+            if length > _LONGEST:
+                problem = f"expected a row of at most {_LONGEST} characters, found a longer one"
+                raise InputError(f"{path}, line {reader.line_num + 1}: {problem}")
+            yield line
+
+    reader = csv.reader(lines())
     try:
         for row in reader:
+            length = 0
             cells = [cell.strip() for cell in row]
             if any(cells):
                 yield reader.line_num, cells

@@ -22,6 +22,7 @@ from .content import MESSAGES_RATIO, Content, check_unpacked
 
 TOPICS = {f"/{name}": name for name in CHANNELS}
 _CHUNK = 64 * 2**10  # bytes
+_LONGEST = 64 * 2**10  # bytes of a message: as objects it takes up to 30 times its room
 
 
 def read(path: Path, topics: Mapping[str, Sequence[str]] | None = None) -> Content:
@@ -31,9 +32,9 @@ def read(path: Path, topics: Mapping[str, Sequence[str]] | None = None) -> Conte
 
     **Arguments:** `topics`, of a ROS 2 bag: for each channel its topics, one a finger or object; see `ros_topics`.
 
-    **Raises:** `hapjax.InputError` for what is no MCAP file or a damaged one, messages of another form, a topic that is
-    not there, a file that would unpack to far more than its size, and where mcap is not installed; `OSError` if the
-    file cannot be opened.
+    **Raises:** `hapjax.InputError` for what is no MCAP file or a damaged one, messages of another form or of over 64 KiB, a
+    topic that is not there, a file that would unpack to far more than its size, and where mcap is not installed;
+    `OSError` if the file cannot be opened.
     """
     if topics is not None:
         return ros_topics.read(path, topics)
@@ -119,6 +120,9 @@ class _Samples:
         return 8 * (len(self.times) + len(self.numbers))
 
     def add(self, path: Path, data: bytes) -> None:
+        if len(data) > _LONGEST:
+            where = f"{path}, {self.name}, message {len(self.times)}"
+            raise InputError(f"{where}: expected at most {_LONGEST} bytes, found {len(data)}")
         try:
             said = json.loads(data)
             time, items = _real(said["t"]), said[self.channel.items]

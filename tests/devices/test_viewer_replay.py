@@ -206,6 +206,16 @@ def test_numbers_of_another_form_are_refused(said, pressed, tmp_path):
     assert MALFORMED[said] in str(refusal.value)
 
 
+def test_far_more_numbers_than_the_file_has_bytes_are_refused(pressed, tmp_path):
+    scene, _ = pressed
+    about = About("n", 1e3, 1, 0, 1, "float64", (), (), (), "", {}, "", 1, 0, 0, {"a": (0, 1)})
+    growing = GrowingFile(tmp_path / "a.mcap", about, Messages(about).schemas)
+    growing.save([Message("/numbers", 0, b'{"t": 0, "numbers": []}')] * 40_000)
+    growing.finish()
+    with pytest.raises(hapjax.InputError, match=r"a.mcap: expected \d+ bytes to unpack to at most"):
+        recorded.recorded_numbers(tmp_path / "a.mcap", scene)
+
+
 REFUSED = {
     "no scene": (["a.npz"], ["a.npz: no scene is recorded with it", "--scene"]),
     "other objects": (["a.npz", "--scene", "other.toml"], ["a.npz: pose has 1 objects; allowed: 0"]),

@@ -11,10 +11,12 @@ from jaxtyping import Float
 from hapjax import InputError, Scene
 from hapjax.errors import within
 from hapjax.paths import number_at
+from hapjax.recording.content import check_unpacked
 from hapjax.recording.mcap_records import Scan
 from hapjax.scene_file import scene_from_dict
 from hapjax.scene_text import tables
 
+_MESSAGE = 64  # bytes that a message takes beside its own
 _SAME = 1e-9  # s, by which two times of one tick may differ
 
 
@@ -63,9 +65,15 @@ STILL = Live(np.zeros(0), {})
 def recorded_numbers(file: Path, scene: Scene) -> Live:
     """The live numbers that are recorded in a file of `hapjax run`.
 
-    **Raises:** `InputError` for messages of another form, and for paths that the scene does not have.
+    **Raises:** `InputError` for messages of another form, for more of them than the file has room for, and for paths that
+    the scene does not have.
     """
-    said = [message.data for channel, _, message in Scan(file) if channel.topic == "/numbers"]
+    said, room, scan = [], 0, Scan(file)
+    for channel, _, message in scan:
+        if channel.topic == "/numbers":
+            room += len(message.data) + _MESSAGE
+            check_unpacked(file, scan.size, room, 1)
+            said.append(message.data)
     if not said:
         return STILL
     with within(f"{file}, /numbers: "):
