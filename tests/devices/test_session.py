@@ -84,6 +84,13 @@ def test_devices_come_from_a_file(places):
     assert isinstance(virtual, VirtualDevice)
 
 
+def test_a_falcon_that_is_to_be_homed_says_so_as_the_command_does(places, capsys):
+    device = session(places, kinds=("falcon",)).made()[0]
+    assert isinstance(device, Falcon)
+    device._notify("the Falcon is not homed.")
+    assert capsys.readouterr().err == "hapjax: the Falcon is not homed.\n"
+
+
 def test_the_device_file_that_is_shown_is_taken(places):
     page = (Path(__file__).resolve().parents[2] / "docs" / "command_line.md").read_text()
     shown = re.search(r"^### Device files$.*?^```toml\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
@@ -269,6 +276,7 @@ def test_the_loop_ends_with_its_ticks_or_a_signal(asked):
 def test_a_signal_before_the_loop_ends_the_process_at_once(asked):
     with pytest.raises(SystemExit):
         asked[1][process.signal.SIGINT](process.signal.SIGINT, None)
+    asked[1][process.signal.SIGTERM](process.signal.SIGTERM, None)  # the devices are being let go
 
 
 def test_spreads_are_right_to_a_hundredth():

@@ -58,7 +58,8 @@ class ServoProcess:
 
 
 class _Asked:
-    """Whether a signal has asked the loop to end. Before it has begun, the signal ends the process at once."""
+    """Whether a signal has asked the loop to end. Before it has begun, the first one ends the process, and others leave it at
+    that: the kernel may tell of a parent's end twice."""
 
     def __init__(self, ticks: float):
         self._left = ticks
@@ -73,8 +74,8 @@ class _Asked:
         return self._asked or self._left <= 0
 
     def _ask(self, number: int, frame: object) -> None:
-        self._asked = True
-        if not self._began:
+        first, self._asked = not self._asked, True
+        if first and not self._began:
             raise SystemExit(128 + number)
 
 
