@@ -58,8 +58,8 @@ class ServoProcess:
 
 
 class _Asked:
-    """Whether a signal has asked the loop to end. Before it has begun, the first one ends the process, and others leave it at
-    that: the kernel may tell of a parent's end twice."""
+    """Whether a signal has asked the loop to end. Before it has begun, the first one ends the process, and others leave it
+    at that: the kernel may tell of a parent's end twice."""
 
     def __init__(self, ticks: float):
         self._left = ticks
