@@ -38,7 +38,7 @@ def save_mjcf(scene: Scene, path: str | os.PathLike[str]) -> tuple[str, ...]:
     A contact becomes a `pair`; what is not named in one passes through, as in the scene. A surface becomes the geom's own
     friction and softness, which win over those of whatever else is put into the model. Stiffness is mapped by
     `K = (1 - d) k A`, damping by `B = c (g + 4 v w / (3 pi))`, as `solref="-K -B"`, where A = 1/m1 + 1/m2, w^2 = k A,
-    v = 0.1 m/s and c is at least 0.5 s/m. The impedance d is 0.01 in a pair and 2 B dt in a geom; mu is MuJoCo's sliding
+    v = 0.1 m/s and c is at least 0.5 s/m. The impedance d is 0.001 in a pair and 2 B dt in a geom; mu is MuJoCo's sliding
     friction on an elliptic cone, which halves what slips in each time step.
 
     **Arguments:** `path`: a file ending in `.xml`.
@@ -99,7 +99,7 @@ def _options(root: ET.Element, scene: Scene, step: float) -> None:
     gravity = (0, 0, 0) if scene.world.gravity is None else scene.world.gravity
     # Friction in MuJoCo is a damper, which creeps: by the share (1 - d) / (d impratio) of what pulls, in two time steps.
     given = {"gravity": words(gravity), "timestep": words(step)}
-    ET.SubElement(root, "option", given, cone="elliptic", impratio="1000000")
+    ET.SubElement(root, "option", given, cone="elliptic", impratio="10000000")
 
 
 def _body(world: ET.Element, scene: Scene, name: str, thing: Object, step: float) -> None:
