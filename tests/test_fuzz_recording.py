@@ -17,6 +17,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from hapjax import InputError, Recording, load_recording
+from hapjax.recording import parquet_file
 from test_recording_mcap import bag, json_file
 
 RNG = np.random.default_rng(0)
@@ -252,6 +253,75 @@ def test_what_would_take_far_more_as_objects_is_refused(name, tmp_path):
     check_room(tmp_path, suffix, content)
     with pytest.raises(InputError, match=said):
         load_recording(tmp_path / f"b{suffix}")
+
+
+def lying(folder: Path) -> bytes:
+    """A table of a million rows, whose end says that they are 10."""
+    rows, said = 1_000_000, 10
+    path = folder / "a.parquet"
+    one = pyarrow.array(np.zeros(rows))
+    whole = {
+        "compression": "zstd",
+        "use_dictionary": False,
+        "write_statistics": False,
+        "data_page_size": 2**30,
+    }
+    parquet.write_table(
+        pyarrow.table({"t": one, "gimbal0": one}),
+        path,
+        write_batch_size=rows,
+        max_rows_per_page=rows,
+        **whole,
+    )
+    data = path.read_bytes()
+    end = data[: len(data) - 8 - int.from_bytes(data[-8:-4], "little")]
+    foot = data[len(end) : -8]
+    group = parquet.ParquetFile(path).metadata.row_group(0)
+    sizes = {rows: said, group.total_byte_size: 16 * said}
+    sizes |= {group.column(i).total_uncompressed_size: 8 * said for i in (0, 1)}
+    for true, false in sizes.items():
+        old, new = bytearray(), bytearray()
+        for number, digits in ((true, old), (false, new)):
+            number *= 2
+            while number or len(digits) < len(old):
+                digits.append(number & 127 | 128)
+                number >>= 7
+            digits[-1] &= 127
+        assert bytes(old) in foot
+        foot = foot.replace(old, new)
+    return end + foot + data[-8:]
+
+
+def test_a_table_that_is_larger_than_its_end_says_is_refused(tmp_path):
+    content = lying(tmp_path)
+    (tmp_path / "a.parquet").write_bytes(content)
+    assert parquet.ParquetFile(tmp_path / "a.parquet").metadata.row_group(0).total_byte_size == 160
+    check_room(tmp_path, ".parquet", content)
+    with pytest.raises(InputError, match="to unpack to at most .*, found 16000"):
+        load_recording(tmp_path / "b.parquet")
+
+
+@pytest.mark.parametrize("compression", ["zstd", "snappy", "none"])
+@pytest.mark.parametrize("version", ["1.0", "2.0"])
+def test_pages_of_every_kind_say_what_they_unpack_to(compression, version, tmp_path):
+    """As the end of a sound file says: with and without dictionaries, statistics, nulls, many pages and groups."""
+    path = tmp_path / "a.parquet"
+    few, all_ = np.repeat([0.0, 1.0], 500), RNG.normal(size=1000)
+    columns = {"few": pyarrow.array(few, mask=few == 1), "all": pyarrow.array(all_)}
+    parquet.write_table(
+        pyarrow.table(columns),
+        path,
+        compression=compression,
+        data_page_version=version,
+        row_group_size=400,
+        data_page_size=500,
+        write_page_checksum=True,
+    )
+    about = parquet.ParquetFile(path).metadata
+    said = sum(about.row_group(g).column(c).total_uncompressed_size for g in range(3) for c in range(2))
+    with path.open("rb") as file:
+        found = parquet_file._unpacked(file, about)
+    assert 0.8 * said < found < said  # theirs counts the headers, too
 
 
 @pytest.fixture

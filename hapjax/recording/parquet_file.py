@@ -1,5 +1,6 @@
 """Recordings as Parquet: see `columns`. Nulls are samples not taken."""
 
+import mmap
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -11,6 +12,7 @@ from ..extras import need
 from ..files import replacing
 from . import columns
 from .content import Content, check_unpacked
+from .parquet_pages import unpacked
 
 _DAMAGED = "expected a whole Parquet file, found another format, a damaged one or one that was cut short"
 
@@ -74,13 +76,23 @@ def _table(path: Path, parquet, source) -> tuple[list[str], Callable[[str], tupl
         file = parquet.ParquetFile(source)
         schema, about = file.schema_arrow, file.metadata
         _check_columns(path, schema)
-        said = sum(about.row_group(g).total_byte_size for g in range(about.num_row_groups))
-        check_unpacked(path, size, max(said, 8 * about.num_rows * len(schema)))
+        check_unpacked(path, size, max(_unpacked(source, about), 8 * about.num_rows * len(schema)))
         return list(schema.names), partial(_column, path, file)
     except InputError:
         raise
     except Exception as error:  # pyarrow raises a dozen kinds for a damaged file
         raise InputError(f"{path}: {_DAMAGED}") from error
+
+
+def _unpacked(source, about) -> int:
+    """The bytes that all pages of a file unpack to."""
+    total = 0
+    with mmap.mmap(source.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        for group in (about.row_group(g) for g in range(about.num_row_groups)):
+            for chunk in (group.column(c) for c in range(group.num_columns)):
+                start = min(chunk.data_page_offset, chunk.dictionary_page_offset or chunk.data_page_offset)
+                total += unpacked(data, start, chunk.total_compressed_size)
+    return total
 
 
 def _column(path: Path, file, name: str) -> tuple[np.ndarray, np.ndarray]:
