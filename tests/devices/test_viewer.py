@@ -21,6 +21,7 @@ from viewer_cases import Drawn
 
 viser = pytest.importorskip("viser", reason="the viewer needs the extra viewer")
 
+from hapjax_devices.viewer import live  # noqa: E402
 from hapjax_devices.viewer import stage as drawing  # noqa: E402
 from hapjax_devices.viewer.live import Decoder  # noqa: E402
 from hapjax_devices.viewer.plots import NOWHERE, Plots, cone  # noqa: E402
@@ -291,6 +292,22 @@ def test_what_is_set_the_run_gets_and_what_it_refuses_is_taken_back():
     numbers[path] = np.array(0.1, np.float32)  # by another process
     made.turn(numbers)
     assert slider.value == 100.0 and not sent
+
+
+def test_frames_are_a_sixtieth_of_a_second_apart_however_long_one_takes_to_draw(monkeypatch):
+    clock = SimpleNamespace(now=5.0)
+
+    def sleep(seconds):
+        clock.now += seconds
+
+    monkeypatch.setattr(live, "time", SimpleNamespace(monotonic=lambda: clock.now, sleep=sleep))
+    found = []
+    for now, takes in zip(live.frames(lambda: False), (0.005, 0.016, 0.001, 0.1, 0.005, 0.0), strict=False):
+        found.append(now)
+        assert now == pytest.approx(clock.now)
+        sleep(takes)
+    np.testing.assert_allclose(np.diff(found), [1 / 60, 1 / 60, 1 / 60, 0.1, 1 / 60])
+    assert [*live.frames(lambda: True)] == []
 
 
 def test_an_address_that_cannot_be_is_refused():

@@ -270,7 +270,8 @@ def test_the_bar_goes_on_while_it_plays_and_begins_anew_at_its_end(lifted):
     scene, recording, _ = lifted
     course = replay.course_of(scene, recording)
     drawn = Drawn()
-    server = SimpleNamespace(gui=Gui(), scene=drawn, atomic=nullcontext)
+    sent = []
+    server = SimpleNamespace(gui=Gui(), scene=drawn, atomic=nullcontext, flush=lambda: sent.append(1))
     player = replay.Player(server, scene, course)
 
     def hips():
@@ -278,7 +279,8 @@ def test_the_bar_goes_on_while_it_plays_and_begins_anew_at_its_end(lifted):
 
     for now, shown in ((0.0, 0.009), (0.1, 0.099), (0.2, 0.199)):
         player.take(now)
-        assert player.bar.value == pytest.approx(now)
+        assert player.bar.value == pytest.approx(now) and len(sent) == 1  # at once
+        sent.clear()
         np.testing.assert_allclose(hips(), course.hip[np.searchsorted(course.time, shown)], atol=1e-6)
     player.playing.value = False
     player.take(5.0)
@@ -296,8 +298,9 @@ def test_the_bar_goes_on_while_it_plays_and_begins_anew_at_its_end(lifted):
 
 def test_the_bar_is_the_users_while_it_is_moved_and_pages_are_told_where_it_is_left(lifted):
     scene, recording, _ = lifted
-    server = SimpleNamespace(gui=Gui(), scene=Drawn(), atomic=nullcontext)
-    player = replay.Player(server, scene, replay.course_of(scene, recording))
+    drawn, course = Drawn(), replay.course_of(scene, recording)
+    server = SimpleNamespace(gui=Gui(), scene=drawn, atomic=nullcontext, flush=lambda: None)
+    player = replay.Player(server, scene, course)
 
     def moved(time, by: object = "a page"):
         player.bar.value = time
@@ -325,3 +328,4 @@ def test_the_bar_is_the_users_while_it_is_moved_and_pages_are_told_where_it_is_l
     assert end - 1e-9 < player.bar.value < end
     player.take(4.0)
     assert end - 1e-9 < player.bar.value < end
+    np.testing.assert_allclose(drawn.made["/hips"].batched_positions, course.hip[-1], atol=1e-6)

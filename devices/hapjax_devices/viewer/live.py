@@ -1,7 +1,7 @@
 """A run as it goes on: what its ticks say is drawn, and what a user does on the page the run gets."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any
 
@@ -89,11 +89,17 @@ def watch(
                 return
             time.sleep(FRAME)
         page = Page(stack, reader, scene, host, port, ticks)
-        next_frame = time.monotonic()
-        while reader.is_alive() and not over():
+        for _ in frames(lambda: over() or not reader.is_alive()):
             page.take(reader.take())
-            next_frame = max(next_frame + FRAME, time.monotonic())
-            time.sleep(max(0.0, next_frame - time.monotonic()))
+
+
+def frames(over: Callable[[], bool]) -> Iterator[float]:
+    """When each frame is drawn (s), `FRAME` apart, or as long as drawing one takes, until it is `over`."""
+    next_frame = time.monotonic()
+    while not over():
+        yield next_frame
+        next_frame = max(next_frame + FRAME, time.monotonic())
+        time.sleep(max(0.0, next_frame - time.monotonic()))
 
 
 def _reader(run: str, patience: float, over: Callable[[], bool], process: int | None) -> TickReader | None:
@@ -159,6 +165,7 @@ class Page:
             if now > self._told + _TOLD:
                 self._told = now
                 self._status.content = self._words(ticks[-1])
+        self._server.flush()  # viser would wait for a frame, and for what sending takes, before each
         if self._sliders is not None:
             self._sliders.turn(self._decoder.live(ticks[-1]))
 

@@ -1,6 +1,5 @@
 """A recording played back on a page, with a time bar: what was recorded, and the touches that a scene makes of it."""
 
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from hapjax.recording import Recording
 
 from . import plots
 from .geometry import placed
-from .live import FRAME, at_first, looks, newest
+from .live import at_first, frames, looks, newest
 from .moments import Moments, moments
 from .plots import Plots
 from .process import stop_asked
@@ -30,6 +29,7 @@ from .stage import Stage, camera
 
 RATE = 100.0  # Hz, at which moments are kept
 HELD = 0.5  # s, for which the bar does not go on by itself after a user has moved it
+_SAME = 1e-9  # s, by which two times of one moment may differ
 SPEEDS = {"0.1": 0.1, "0.3": 0.3, "1": 1.0, "3": 3.0}
 
 
@@ -49,9 +49,8 @@ def replay(file: Path, scene: Path | None, host: str, port: int) -> int:
             course = course_of(given, recording, live)
     with serving(f"hapjax: {file.name}", host, port, camera(given)) as server:
         player = Player(server, given, course)
-        while not asked:
-            player.take(time.monotonic())
-            time.sleep(FRAME)
+        for now in frames(lambda: bool(asked)):
+            player.take(now)
     return 0
 
 
@@ -213,10 +212,11 @@ class Player:
             end = self._course.time[-1]
             gone = float(self.bar.value) + passed * SPEEDS[self.speed.value]
             self.bar.value = gone if gone <= end else 0.0
-        until = int(np.searchsorted(self._course.time, self.bar.value, side="right"))
+        until = int(np.searchsorted(self._course.time, self.bar.value + _SAME, side="right"))
         seen = self._course[: max(until, 1)]
         with self._server.atomic():
             self._stage.show(seen[-1:])
             if now > self._drawn + plots.PERIOD:
                 self._drawn = now
                 self._plots.show(newest(seen))
+        self._server.flush()  # see `live.Page.take`
