@@ -107,14 +107,13 @@ def posterior(result: FitResult, samples: int = 1000, seed: int = 0, *, progress
     root = jnp.asarray(np.linalg.cholesky(spread), free.dtype)
     variance = jnp.asarray(result.variance, free.dtype)
     total = float(_CHAINS * (_WARMUP + samples))
-    with (
-        jax.numpy_dtype_promotion("standard"),
-        jax.numpy_rank_promotion("allow"),
-        following(total, shown=progress) as advance,
-    ):
-        told = advance if progress else None
-        round_, diverged = _chains(jax.random.key(seed), free, root, variance, problem, samples, told)
-        rhat, effective = _mixing(round_)
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        with following(total, shown=progress) as advance:
+            told = advance if progress else None
+            drawn = _chains(jax.random.key(seed), free, root, variance, problem, samples, told)
+            round_, diverged = jax.block_until_ready(drawn)
+        with following(None, doing="comparing the chains", shown=progress):
+            rhat, effective = _mixing(round_)
     found = free[None, None] + jnp.einsum("csi,ji->csj", round_, root)
     found, best = jax.vmap(jax.vmap(problem.report))(found), problem.report(free)[None, None]
     found = best + (found - best) * jnp.asarray(result.widened, free.dtype)[None, None]

@@ -27,7 +27,7 @@ def test_with_little_noise_the_posterior_is_the_gauss_newton_one(monkeypatch):
     bars = followed(monkeypatch, sys.modules["hapjax_fitting.posterior"])
     found: Any = posterior(result, samples=500, progress=True)
     jax.effects_barrier()
-    assert bars == [{"total": 1600.0, "told": 1600.0, "apart": False}]
+    assert [(bar["total"], bar["told"]) for bar in bars] == [(1600.0, 1600.0), (None, 0.0)]
     for name in BOTH:
         p = result.parameters[name]
         error = p.standard_error / np.sqrt(found.effective[name])
