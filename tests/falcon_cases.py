@@ -99,7 +99,8 @@ class Loop:
         safety = Safety([8.0, 8.0], 100.0)
         for finger in range(2):  # both are in
             safety(-1, finger, (0.0, 0.0, 0.0))
-        self.fingers = Fingers([rig.falcon, self.other], 100.0, safety, Diary(100.0))
+        self.diary = Diary(100.0)
+        self.fingers = Fingers([rig.falcon, self.other], 100.0, safety, self.diary)
         self.hip, self.output, self.ticks = np.zeros((2, 3)), np.zeros((2, 3)), 0
 
     def tick(self) -> None:

@@ -51,7 +51,10 @@ class Device(Protocol):
 
 @runtime_checkable
 class RecoverableDevice(Device, Protocol):
-    """A device that can come back after a fault while the loop goes on for the others."""
+    """A device that can come back after a fault while the loop goes on for the others.
+
+    Of one with an attribute `fault`, a sentence that says what is in its way, else `None`, the loop tells that too.
+    """
 
     def recover(self) -> bool:
         """One short step, of some milliseconds at most, on the way back; whether the device is ready again.

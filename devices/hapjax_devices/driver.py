@@ -20,7 +20,8 @@ class Driver(ABC):
     A driver says how it gets from closed to running, in short steps, how it reads, writes and lets go, and what it is
     called. It may raise `DeviceError` wherever something is wrong: no force is put out from then on.
 
-    **Attributes:** `state`, of those three, or the way's own; `fault`, the sentence that says what went wrong, else `None`;
+    **Attributes:** `state`, of those three, or the way's own; `fault`, the sentence that says what went wrong,
+    or what its user has to do for it to come back, else `None`;
     `output` (3,) N, the force that it puts out, in the world.
     """
 
@@ -30,7 +31,7 @@ class Driver(ABC):
 
     def __init__(self, clock: Clock | None):
         self._clock = clock or MonotonicClock()
-        self._way: Iterator[State] | None = None
+        self._way: Iterator[State] | None = None  # back from a fault: a loop waits for each step
         self._again = 0
         self._longest: dict[
             State, tuple[int, str]

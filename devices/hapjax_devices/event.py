@@ -26,6 +26,10 @@ class Event(NamedTuple):
     kind: str
     sentence: str
 
+    def said(self, fingers: int) -> str:
+        """The sentence as a run with so many fingers says it: with the finger, where there is more than one."""
+        return self.sentence if fingers < 2 or self.finger < 0 else f"finger {self.finger}: {self.sentence}"
+
 
 class Diary:
     """Keeps what happens, and tells it to who listens.

@@ -1,5 +1,6 @@
 """The devices of a servo loop, of which one that fails does not stop the others."""
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -46,6 +47,7 @@ class Fingers:
         self._recoverable = [device if isinstance(device, RecoverableDevice) else None for device in devices]
         self._every = max(1, round(RECOVERY * rate))
         self._down: dict[int, int] = {}  # the place in `faults` of each finger whose device is down
+        self._told: dict[int, set[str]] = {}  # what was said of each of these since then
         self._tick = -1
         self.faults: list[DeviceFault] = []
 
@@ -124,16 +126,27 @@ class Fingers:
             raise error
 
     def _note(self, finger: int, error: DeviceError) -> None:
-        self._down[finger] = len(self.faults)
+        self._down[finger], self._told[finger] = len(self.faults), set()
         self.faults.append(DeviceFault(self._tick, finger, str(error)))
-        self._diary.say("fault", str(error), finger)
+        self._tell(finger, str(error))
+
+    def _tell(self, finger: int, sentence: str) -> None:
+        """Say what is wrong with a device, once while it is down: each attempt to get it back finds it anew."""
+        gist = re.sub(r"\d+", "", sentence)  # what it counts or reads may be another thing each time
+        if gist not in self._told[finger]:
+            self._told[finger].add(gist)
+            self._diary.say("fault", sentence, finger)
 
     def _is_back(self, tick: int, finger: int) -> bool:
         at, device = self._down[finger], self._recoverable[finger]
         assert device is not None
-        if (tick - self.faults[at].tick) % self._every or not device.recover():
+        if (tick - self.faults[at].tick) % self._every:
+            return False
+        if not device.recover():
+            if (fault := getattr(device, "fault", None)) is not None:
+                self._tell(finger, fault)
             return False
         self.faults[at] = self.faults[at]._replace(back=tick)
         del self._down[finger]
-        self._diary.say("back", f"the device of finger {finger} is back; its force rises", finger)
+        self._diary.say("back", "the device is back; its force rises", finger)
         return True

@@ -90,7 +90,7 @@ class Inverse3(Driver):
     # The way to a running device ------------------------------------------------------------------------------
 
     def _steps(self) -> Iterator[State]:
-        patience = _SHAKE if self.state == "faulted" else _OPENING
+        patience = _OPENING if self._way is None else _SHAKE
         yield "connecting"
         self._socket = _connected(self._url, patience, self.name)
         self._socket.settimeout(_SHAKE)

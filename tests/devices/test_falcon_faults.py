@@ -113,7 +113,8 @@ def test_a_fault_in_a_loop(fault, state, firmware):
         for _ in range(20):
             loop.tick()
             assert rig.falcon.state == "homing"
-        assert any(first in said for said in rig.said)
+        told = [event.sentence for event in loop.diary.events if first in event.sentence]
+        assert told == [rig.falcon.fault] and rig.said == []  # once, by the loop alone
     else:
         told = []
         loop.until(lambda: told.append(rig.falcon.fault or "") or first in told[-1])

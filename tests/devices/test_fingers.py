@@ -118,7 +118,7 @@ def test_faults_are_told_with_their_finger():
         diary.turn(tick, tick)
         fingers.read(tick, hip)
         fingers.write(tick, PUSH, output)
-    back = "the device of finger 1 is back; its force rises"
+    back = "the device is back; its force rises"
     told = [(event.kind, event.tick, event.sentence) for event in diary.events if event.finger == 1]
     assert told[:5] == [
         ("fault", 1, "the cable is out"),
@@ -128,6 +128,34 @@ def test_faults_are_told_with_their_finger():
         ("ramped", 21, "forces of a finger that is let in again, rising: begins at tick 21"),
     ]
     assert all(event.finger == 1 for event in diary.events)
+    first = diary.events[0]
+    assert first.said(2) == "finger 1: the cable is out" and first.said(1) == "the cable is out"
+    assert first._replace(finger=-1).said(2) == "the cable is out"
+
+
+def test_what_is_in_a_devices_way_is_told_once_until_it_is_back():
+    class Telling(Recoverable):
+        def recover(self):
+            self.fault = (
+                None
+                if len(self.asked) % 5 == 4
+                else ["no power", "it counts 17", "it counts 4"][len(self.asked) % 3]
+            )
+            self.asked.append(True)
+            return self.fault is None
+
+    device = Telling(fails=[3, 9])
+    fingers, diary = fingers_on([device])
+    hip, output = np.zeros((1, 3)), np.zeros((1, 3))
+    for tick in range(120):
+        fingers.read(tick, hip)
+        fingers.write(tick, PUSH[:1], output)
+    told = [event.sentence for event in diary.events if event.kind in ("fault", "back")]
+    back = "the device is back; its force rises"
+    assert told == [
+        *("the cable is out", "no power", "it counts 17", back),
+        *("the cable is out", "it counts 4", "no power", back),
+    ]
 
 
 def test_all_are_let_go_though_one_fails():

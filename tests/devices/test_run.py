@@ -85,6 +85,7 @@ def test_a_session_is_recorded_and_ends_when_asked(table, tmp_path, monkeypatch,
 
     thread, failed = meanwhile(ask)
     options = ["--name", name, "--rate", "400", "--record", str(out), "--json", str(figures)]
+    options += ["--max-force", "0.05"]
     code = main(["run", str(table), "--device", "virtual", "virtual", *options])
     thread.join()
     assert not failed and code == 0, failed
@@ -95,7 +96,9 @@ def test_a_session_is_recorded_and_ends_when_asked(table, tmp_path, monkeypatch,
     np.testing.assert_allclose(np.diff(recording.hip_t), 1 / 400)
     largest = np.linalg.norm(recording.force, axis=2).max(axis=0)
     assert [each["max"] for each in found["force"]] == pytest.approx(largest.tolist(), rel=1e-6)
-    assert [event["kind"] for event in found["events"]].count("end") == 1
+    (end,) = [event for event in found["events"] if event["kind"] == "end"]
+    over = [event for event in found["events"] if event["kind"] == "limited"]
+    assert end["finger"] is None and {event["finger"] for event in over} == {0, 1}
     with pytest.raises(ProcessLookupError):
         os.kill(servo[0], 0)
     said = capsys.readouterr()
@@ -106,6 +109,8 @@ def test_a_session_is_recorded_and_ends_when_asked(table, tmp_path, monkeypatch,
         "hapjax: compiling; the fingers feel the scene once that is done\n",
     ]
     assert re.fullmatch(".*".join(["", *map(re.escape, stages), ""]), said.err, re.DOTALL)
+    for event in over:
+        assert f"{event['tick'] / 400:.3f} s: finger {event['finger']}: {event['sentence']}\n" in said.err
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ class Counter(VirtualDevice):
         self.reads, self.writes, self.now = [], [], 0
         self.fails = ""
         self.at: tuple[float, ...] | None = None
+        self.fault: str | None = None
 
     def read(self):
         self.reads.append(self.now)
@@ -105,7 +106,8 @@ def test_no_force_is_passed_on_at_once_and_a_fault_too():
         device.fails = "read"
         with pytest.raises(DeviceError, match="it fails"):
             driven(slow, device, range(5, 50))
-        assert device.now < 15 and slow.recover()
+        device.fault = "it has no power"
+        assert device.now < 15 and slow.fault == device.fault and slow.recover()
         driven(slow, device, range(20, 21))
         assert device.reads[-1] == 20  # it does not wait for another turn
     with pytest.raises(InputError, match="at most the loop's 1000"):

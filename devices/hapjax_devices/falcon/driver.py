@@ -72,7 +72,8 @@ class Falcon(Driver):
     - `serial` number, where several are attached; `None`: the only one.
     - `placement` of that frame in the world.
     - `homing_time`: how many seconds `open` gives the user for homing, above 0.
-    - `notify`: is called with a sentence for the user; by default it is printed to stderr.
+    - `notify`: is called with a sentence for the user while it opens; by default it is printed to stderr. On the way back
+      from a fault it is in `fault`, and the loop tells it.
     - `backend`, a `usb.backend.IBackend` of pyusb, and `clock`: both for tests; `None`: libusb, and the computer's own.
 
     **Attributes:** `state`: `"closed"`, `"connecting"`, `"booting"`, `"uploading"`, `"homing"`, `"running"` or `"faulted"`;
@@ -162,7 +163,9 @@ class Falcon(Driver):
                 if again is not None and self._accepted(again):
                     return
                 raise DeviceError(f"{self.name} counts {reply.numbers}, but its next reply does not fit that")
-            if not told:
+            if self._way is not None:
+                self.fault = f"{self.name} {_HOMING}"
+            elif not told:
                 self._notify(f"{self.name} {_HOMING}.")
                 told = True
 

@@ -77,6 +77,11 @@ class Slower:
     def __exit__(self, *exception) -> None:
         self.close()
 
+    @property
+    def fault(self) -> str | None:
+        """What is in the way of the device; see `RecoverableDevice`."""
+        return getattr(self.device, "fault", None)
+
     def _recover(self) -> bool:
         assert isinstance(self.device, RecoverableDevice)
         self.forget()

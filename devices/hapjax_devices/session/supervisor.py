@@ -173,9 +173,12 @@ class _Watch:
         """Take what has come, and say what is new."""
         self._figures.add(reader.take())
         for event in reader.events():
-            self._said.append({"tick": event.tick, "kind": event.kind, "sentence": event.sentence})
+            finger = None if event.finger < 0 else event.finger
+            said = {"tick": event.tick, "finger": finger, "kind": event.kind, "sentence": event.sentence}
+            self._said.append(said)
             if event.kind not in _COUNTED:
-                _say(f"{event.tick / self._session.rate:.3f} s: {event.sentence}")
+                seconds = max(event.tick, 0) / self._session.rate
+                _say(f"{seconds:.3f} s: {event.said(len(self._session.devices))}")
         if self._recorder is not None and not self._recorder.is_alive():
             self._finish_recording(False)
         if self._viewer is not None and self._viewer.code():  # 0: it has seen the run's end

@@ -1,5 +1,6 @@
 """Which devices a session is to have: from options, or from a file in TOML."""
 
+import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -102,7 +103,11 @@ def _browser(
 
 
 def _falcon(table: Mapping[str, Any], finger: Callable[[], VirtualDevice]) -> Device:
-    return Falcon(placement=_placement(table), **_rest(table))
+    return Falcon(placement=_placement(table), notify=_say, **_rest(table))
+
+
+def _say(sentence: str) -> None:
+    print(f"hapjax: {sentence}", file=sys.stderr, flush=True)
 
 
 def _inverse3(table: Mapping[str, Any], finger: Callable[[], VirtualDevice]) -> Device:

@@ -174,7 +174,7 @@ class Page:
         about = self._reader.about
         for event in self._reader.events():
             if event.kind not in _COUNTED:
-                self._said.append(f"{event.tick / about.rate:.2f} s: {event.sentence}")
+                self._said.append(f"{max(event.tick, 0) / about.rate:.2f} s: {event.said(about.fingers)}")
         self._said = self._said[-_EVENTS:]
         refused = (
             [] if self._sliders is None or not self._sliders.refused else [f"**{self._sliders.refused}**"]
