@@ -139,6 +139,17 @@ def test_urdf_is_read_as_mujoco_reads_it(folder):
     assert np.asarray(scene.object["_2_pieces"].position) == pytest.approx([0, 0, 0.05])
 
 
+@pytest.mark.parametrize(("geom", "mass"), [("mass='3'", 3.0), ("mass='0'", 2.0), ("density='0'", 2.0)])
+def test_an_inertial_counts_where_no_geom_weighs(geom, mass, tmp_path):
+    inside = f"<freejoint/><geom size='1' {geom}/><inertial pos='0.1 0 0' mass='2' diaginertia='1 1 1'/>"
+    text = world(inside).replace("<worldbody>", "<compiler inertiafromgeom='true'/><worldbody>")
+    (tmp_path / "m.xml").write_text(text)
+    body = hapjax.load_model(tmp_path / "m.xml").object["b"].body
+    assert body is not None and float(body.mass) == pytest.approx(mass)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
+    assert model.body_mass[1] == pytest.approx(mass)
+
+
 def test_gravity_that_is_off_is_none(tmp_path):
     option = "<option gravity='1 0 0'><flag gravity='disable'/></option>"
     (tmp_path / "m.xml").write_text(f"<mujoco>{option}<worldbody><geom size='1'/></worldbody></mujoco>")

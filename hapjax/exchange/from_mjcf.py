@@ -28,6 +28,10 @@ class _Geom(NamedTuple):
     said: bool
     shell: bool
 
+    def weighs(self) -> bool:
+        """Whether it weighs something."""
+        return (self.density if self.mass is None else self.mass) > 0
+
 
 class _Found(NamedTuple):
     """What is fixed to one body, in its frame. Geoms whose weight is given beside them weigh nothing themselves."""
@@ -111,7 +115,8 @@ def _gather(body: ET.Element, pose: Pose, style: str | None, settings: Settings,
                 raise InputError(f"has a joint that is {type_}; allowed: free, or none")
             found.joints.append(element)
     from_geoms = settings.compiler.get("inertiafromgeom", "auto")
-    if from_geoms == "false" or (weights and from_geoms != "true"):
+    weigh = any(geom.weighs() for geom in geoms)
+    if from_geoms == "false" or (weights and not (from_geoms == "true" and weigh)):
         found.weights.extend(weights)
         geoms = [geom._replace(mass=0.0, said=False) for geom in geoms]
     found.geoms.extend(geoms)
@@ -152,7 +157,7 @@ def _weight(found: _Found, folder: Path, hull: bool) -> Weight | float | None:
 
 def _weight_of(geom: _Geom, folder: Path, hull: bool) -> Weight:
     """The weight of a geom of uniform density, in the frame of its body."""
-    if geom.mass == 0 or (geom.mass is None and geom.density == 0):
+    if not geom.weighs():
         return Weight(0.0, np.zeros(3), np.zeros((3, 3)))
     if geom.shell:
         raise InputError("has a geom with shellinertia; allowed: one that weighs something all through")
