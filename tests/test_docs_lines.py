@@ -11,7 +11,7 @@ from hapjax.cli import main
 from test_cli import example
 from test_docs import block
 from test_docs_commands import PAGES, ROOT
-from test_guides import INSTALLING
+from test_guides import FOLLOWED, INSTALLING
 
 # By the tests that run all programs of these pages.
 PROGRAMS = {
@@ -29,21 +29,23 @@ NOT_PROGRAMS = {
     "with_laws(scene": "takes a minute to compile; tests/fitting/test_compare.py, with other laws",
     "unsettled(": "takes an hour; tests/test_benchmark_stability.py, in few cells",
 }
-GUIDES = ("docs/start.md", "docs/guides/device.md", "docs/guides/mesh.md", "docs/guides/recording.md")
 HERE = ("hapjax simulate", "hapjax export", "hapjax import")
+# All that begin with `hapjax` or are an example are taken by test_docs_commands.py as far as where their work begins.
 NOT_LINES = {
     r"make ": "make runs the tests; .ci/run runs make",
-    r"pip install |python3 -m venv |\. (\.v)?env/": ".ci/packages installs with each extra alone",
+    r"pip install |python3 -m venv |\. (\.v)?env/": "minutes each: make packages, by hand, installs with each extra alone",
     r"sudo ": "it changes the system",
     r"source ": "tests/test_cli_shell.py, in bash",
     r"hapjax demo ": "tests/test_cli.py",
-    r"hapjax run .*(falcon|browser|--view|--record|--tune)": "no end, or devices: tests/devices/test_run.py, test_viewer.py",
-    r"hapjax benchmark ": "minutes to hours: test_cli.py, test_benchmark_*.py, fitting/test_benchmark_fit.py, on less",
+    r"hapjax run .*(falcon|browser|--view|--tune)": "devices, a page or no end: tests/devices/test_run.py, test_viewer.py",
+    r"hapjax run .* --seconds \d+ --record ": "tests/test_guides.py, the like of start.md, and tests/devices/test_run.py",
+    r"hapjax benchmark latency": "tests/test_cli.py, with a loop of 0.2 s",
+    r"hapjax benchmark (?!latency)": "minutes to hours: test_benchmark_*.py, fitting/test_benchmark_fit.py, on less",
     r"hapjax fit .*": "half a minute; tests/test_docs.py, test_guides.py and test_cli.py, of the like",
     r"(srun|XLA_FLAGS=\S+|fit=|\$fit) ": "a cluster, or several processes: tests/fitting/test_sharding.py",
     r"fit=": "as above",
     r"export XLA_FLAGS=": "it is for the benchmark below it",
-    r"(\.venv/bin/)?python examples/": "data that is not here, or minutes: tests/examples",
+    r"python examples/": "data that is not here, or minutes: tests/examples",
     r"hapjax view ": "no end: tests/test_cli_shell.py and tests/devices/test_viewer_replay.py",
 }
 
@@ -67,7 +69,7 @@ def lines():
 
 def run_elsewhere(page, line):
     examples = [" ".join(["hapjax", *example(name)]) for name in ("run", "recover", "devices", "doctor")]
-    return (page in GUIDES and not line.startswith(INSTALLING)) or line in examples
+    return (page in FOLLOWED and not line.startswith(INSTALLING)) or line in examples
 
 
 def test_every_program_is_run_or_it_is_said_why_not():

@@ -16,6 +16,7 @@ import hapjax
 from hapjax import cli
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
+FOLLOWED = ("docs/start.md", "docs/guides/device.md", "docs/guides/mesh.md", "docs/guides/recording.md")
 INSTALLING = ("python3 -m venv ", ". env/bin/activate", "pip install ")
 
 

@@ -1,5 +1,8 @@
 """Numbers that are estimated while a scene is felt: what is measured, which seconds are taken, what is handed over."""
 
+import re
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,6 +12,8 @@ from hapjax.tuning import process
 from hapjax.tuning.sensor import CHUNK, Measured, SimulatedSensor
 from hapjax.tuning.settings import Tuning, tuned_by_default
 from hapjax.tuning.window import Window
+from hapjax_devices.session import supervisor
+from test_docs import block
 
 RATE = 1000.0
 MU, STIFFNESS = "object.table.surface.mu", "object.table.surface.stiffness"
@@ -159,8 +164,20 @@ def tuner(tmp_path):
     return process.Tuner(settings, Numbers(), RATE)
 
 
+def numberless(text):
+    """Lines without what their numbers are."""
+    return re.sub(r"\d+(\.\d+)?", "#", text)
+
+
+def lines_said(found, capsys):
+    """What `hapjax run` prints of what the tuner has found."""
+    tuner = SimpleNamespace(said=lambda: found, code=lambda: None)
+    supervisor._Watch._tune(SimpleNamespace(_tuner=tuner, _tuned=[]), [])  # pyright: ignore[reportArgumentType]
+    return numberless(capsys.readouterr().out)
+
+
 @pytest.mark.slow
-def test_the_truth_is_estimated_and_handed_over(tuner):
+def test_the_truth_is_estimated_and_handed_over(tuner, capsys):
     assert tuner.estimate() is None and "no estimate" in tuner.adopt()["sentence"]
     hip = rubbing(1.2)
     for i in range(0, len(hip), CHUNK):
@@ -172,7 +189,9 @@ def test_the_truth_is_estimated_and_handed_over(tuner):
         low, high = estimate["interval95"]
         assert abs(estimate["estimate"] - truth) < (high - low) < 0.05 * truth
         assert f"{path} {estimate['estimate']:.4g} (" in found["sentence"]
-    assert tuner.adopt()["adopted"] == 4321
+    handed = tuner.adopt()
+    assert handed["adopted"] == 4321
+    assert lines_said([found, handed], capsys) == numberless(block("realtime.md", "text"))
     now = tuner._numbers.values
     assert float(now[MU]) == pytest.approx(0.5, rel=0.02) and float(now[STIFFNESS]) == pytest.approx(
         1e3, rel=0.02
