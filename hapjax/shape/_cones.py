@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ._topology import Topology, area_normals
+from ._topology import PIECE, Topology, area_normals
 from ._triangle import dot
 
 _BEND = 1e-3  # sine of the angle by which a surface bends inward at an edge: less is rounding
@@ -14,15 +14,18 @@ _SLACK = 1e-3  # of a cosine
 def is_hollow(vertices: np.ndarray, triangles: np.ndarray, beside: Topology) -> bool:
     """Whether a ball can touch the surface in two places at once: it bends inward somewhere, or is in pieces."""
     normals = _normals(vertices, triangles)
-    across = np.asarray(beside.patches[:, 3]).astype(int)
-    edges = vertices[np.roll(triangles, -1, axis=1)] - vertices[triangles]
-    bend = np.sum(np.cross(normals[:, None], normals[across]) * edges, axis=2)
-    if np.any(bend < -_BEND * np.linalg.norm(edges, axis=2)):
-        return True
+    across = np.asarray(beside.patches[:, 3]).astype(np.int32)
+    for i in range(0, len(triangles), PIECE):
+        near, own = across[i : i + PIECE], triangles[i : i + PIECE]
+        edges = vertices[np.roll(own, -1, axis=1)] - vertices[own]
+        bend = np.sum(np.cross(normals[i : i + PIECE, None], normals[near]) * edges, axis=2)
+        if np.any(bend < -_BEND * np.linalg.norm(edges, axis=2)):
+            return True
+    del normals
     from scipy.sparse import coo_matrix  # here, since it takes a while to load
     from scipy.sparse.csgraph import connected_components
 
-    links = np.ones(across.size), (np.repeat(np.arange(len(across)), 3), across.ravel())
+    links = np.ones(across.size, bool), (np.repeat(np.arange(len(across), dtype=np.int32), 3), across.ravel())
     return connected_components(coo_matrix(links, shape=(len(across),) * 2), directed=False)[0] > 1
 
 

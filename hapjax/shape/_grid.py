@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..errors import InputError
 from ._table import rows, span
-from ._topology import LARGEST, SPARE
+from ._topology import LARGEST, PIECE, SPARE, area_normals
 from ._triangle import area_normal, dot
 
 CHUNK = 4  # triangles at a time
@@ -37,24 +37,41 @@ class Grid(eqx.Module):
 
 def grid_of(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Grid:
     """The grid of a mesh. **Raises:** `InputError` where its lists are longer than a float32 counts."""
-    corners = vertices[triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    cell = 1.5 * np.sqrt(area.sum() / len(triangles))
+    pieces = [triangles[i : i + PIECE] for i in range(0, len(triangles), PIECE)]
+    area = sum(float(np.linalg.norm(area_normals(vertices, piece), axis=1).sum()) for piece in pieces) / 2
+    cell = 1.5 * np.sqrt(area / len(triangles))
     low = vertices.min(axis=0) - cell
     size = np.ceil((vertices.max(axis=0) + cell - low) / cell)
-    cells, owners = _cells_of((corners - low) / cell)
-    if len(cells) >= LARGEST:
-        raise InputError(
-            f"triangles meet {len(cells)} cells; allowed: at most {LARGEST}, with triangles of less unequal sizes"
-        )
-    occupied = len(np.unique(cells, axis=0))
+    hashes, owners, occupied = _filled(vertices, pieces, low, cell, size)
     rows = 1 << int(np.ceil(np.log2(2 * occupied)))
-    row = _hash([cells[:, i].astype(np.uint32) for i in range(3)], rows)
-    pair = np.unique(row.astype(np.int64) * len(triangles) + owners)  # a triangle once a row
+    pair = (hashes & np.uint32(rows - 1)).astype(np.int64)
+    pair *= len(triangles)
+    pair += owners
+    pair = np.unique(pair)  # a triangle once a row
     row, owners = pair // len(triangles), pair % len(triangles)
     start = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=rows))])
     parts = (low, low + size * cell, cell, start, np.pad(owners, (0, SPARE)))
     return Grid(*(jnp.asarray(part, dtype) for part in parts))
+
+
+def _filled(
+    vertices: np.ndarray, pieces: list[np.ndarray], low: np.ndarray, cell: float, size: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """The hash of each cell that a triangle may meet, that triangle, and how many cells there are."""
+    hashes, owners, places, first = [], [], [], 0
+    for piece in pieces:
+        cells, owner = _cells_of((vertices[piece] - low) / cell)
+        hashes.append(_hash([cells[:, i].astype(np.uint32) for i in range(3)], 2**32))
+        owners.append((first + owner).astype(np.int32))
+        # Where these run over, a few cells count as one.
+        places.append(np.unique((cells[:, 0] * int(size[1]) + cells[:, 1]) * int(size[2]) + cells[:, 2]))
+        first += len(piece)
+    found = sum(map(len, owners))
+    if found >= LARGEST:
+        raise InputError(
+            f"triangles meet {found} cells; allowed: at most {LARGEST}, with triangles of less unequal sizes"
+        )
+    return np.concatenate(hashes), np.concatenate(owners), len(np.unique(np.concatenate(places)))
 
 
 def _hash(cell: list, rows: int) -> Any:

@@ -12,6 +12,7 @@ from ..errors import InputError
 
 SMALLEST_AREA = 1e-12  # m^2
 LARGEST = 2**24  # a float32 counts so far
+PIECE = 2**14  # triangles that are looked at together: all at once take 20 times the room of a mesh
 SPARE = 16  # numbers behind the end of a list of which several are read at a time
 _ALLOWED = "allowed: a closed surface of triangles whose corners run counter-clockwise seen from outside"
 
@@ -70,12 +71,12 @@ def _refuse_surface(points: np.ndarray, faces: np.ndarray, scale: float) -> None
 
     area = np.linalg.norm(area_normals(points * scale, faces), axis=1) / 2
     find(area < SMALLEST_AREA, f"have an area below {SMALLEST_AREA} m^2")
-    _, first, inverse, number = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
-    )
-    again = np.ones(len(faces), bool)
-    again[first] = False
+    corners = np.sort(faces.astype(np.int32), axis=1)
+    order = np.lexsort(corners.T)
+    again = np.zeros(len(faces), bool)
+    again[order[1:]] = (corners[order[1:]] == corners[order[:-1]]).all(axis=1)
     find(again, "are there twice")
+    del corners, order
     key, back = _edge_keys(faces, len(points))
     flat = np.sort(key.ravel())
     find(
@@ -86,6 +87,7 @@ def _refuse_surface(points: np.ndarray, faces: np.ndarray, scale: float) -> None
     ends = np.sort(either.ravel())
     alone = np.searchsorted(ends, either, "right") - np.searchsorted(ends, either) < 2
     find(alone.any(axis=1), "are beside a hole (the surface is not watertight)")
+    del area, key, back, flat, either, ends, alone  # each as large as the mesh
     if not found:
         outside = _winding_outside(points, faces)
         find(outside < -0.5, "face inward")
@@ -102,9 +104,8 @@ def _winding_outside(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     from scipy.sparse import coo_matrix  # here, since it takes a while to load
     from scipy.sparse.csgraph import connected_components
 
-    graph = coo_matrix(
-        (np.ones(3 * len(faces)), (np.repeat(faces[:, 0], 3), faces.ravel())), shape=(len(points),) * 2
-    )
+    ends = np.repeat(faces[:, 0].astype(np.int32), 2), faces[:, 1:].astype(np.int32).ravel()
+    graph = coo_matrix((np.ones(2 * len(faces), bool), ends), shape=(len(points),) * 2)
     piece = connected_components(graph, directed=False)[1][faces[:, 0]]
     normals = area_normals(points, faces)
     size = np.linalg.norm(normals, axis=1)
@@ -113,7 +114,8 @@ def _winding_outside(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
         own = np.flatnonzero(piece == label)
         largest = own[np.argmax(size[own])]
         step = 1e-4 * np.sqrt(size[largest]) * normals[largest] / size[largest]
-        found[own] = _winding(points[faces] - points[faces[largest]].mean(axis=0) - step)
+        eye = points[faces[largest]].mean(axis=0) + step
+        found[own] = sum(_winding(points[faces[i : i + PIECE]] - eye) for i in range(0, len(faces), PIECE))
     return found
 
 
@@ -128,16 +130,25 @@ def _winding(corners: np.ndarray) -> float:
 
 def topology(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Topology:
     """The neighbours of checked triangles."""
-    key, back = _edge_keys(triangles, len(vertices))
-    order = np.argsort(key, axis=None)
-    neighbours = order[np.searchsorted(key.ravel(), back, sorter=order)] // 3
     corner = triangles.ravel()
     fan = np.argsort(corner, kind="stable") // 3
     fan_start = np.concatenate([[0], np.cumsum(np.bincount(corner, minlength=len(vertices)))])
     normals = vertex_normals(vertices, triangles)
-    patches = np.concatenate([vertices[triangles], neighbours[:, None], triangles[:, None]], axis=1)
+    patches = np.empty((len(triangles), 5, 3), dtype)
+    patches[:, :3], patches[:, 3], patches[:, 4] = (
+        vertices[triangles],
+        _across(triangles, len(vertices)),
+        triangles,
+    )
     parts = (patches, fan_start, np.pad(fan, (0, SPARE)), normals)
     return Topology(*(jnp.asarray(part, dtype) for part in parts))
+
+
+def _across(triangles: np.ndarray, count: int) -> np.ndarray:
+    """The triangle across each edge (T, 3)."""
+    key, back = _edge_keys(triangles, count)
+    order = np.argsort(key, axis=None)
+    return order[np.searchsorted(key.ravel(), back, sorter=order)] // 3
 
 
 def vertex_normals(vertices: Any, triangles: Any) -> Any:

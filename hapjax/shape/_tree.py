@@ -14,7 +14,7 @@ from ._cones import cones_of, is_hollow
 from ._lanes import one_by_one
 from ._planes import frozen
 from ._table import rows, span
-from ._topology import SPARE, Topology
+from ._topology import PIECE, SPARE, Topology
 from ._triangle import dot, nearest_part, nearest_point
 from ._walk import descend
 
@@ -42,8 +42,9 @@ class Tree(eqx.Module):
 
 def tree_of(vertices: np.ndarray, triangles: np.ndarray, beside: Topology, dtype: Any) -> Tree:
     """The tree of a mesh: halves of equal number along the longest axis, and so on."""
-    corners = vertices[triangles]
-    middle = corners.mean(axis=1)
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    middle = (a + b + c) / 3
+    del a, b, c
     count, ranks = len(triangles), 1
     while _CHILDREN**ranks * _LEAF < count:
         ranks += 1
@@ -56,7 +57,7 @@ def tree_of(vertices: np.ndarray, triangles: np.ndarray, beside: Topology, dtype
         key = points[np.arange(count), np.argmax(size, axis=1)[group]]
         order = order[np.lexsort((key, group))]
     first = [_starts(count, _CHILDREN**rank) for rank in range(1, ranks + 1)]
-    boxes = [_boxes(corners[order], start) for start in first]
+    boxes = [_boxes(vertices, triangles[order], start, dtype) for start in first]
     cones = None
     if is_hollow(vertices, triangles, beside):
         near = [(box, start[:-1]) for box, start in zip(boxes, first, strict=True)]
@@ -71,8 +72,27 @@ def _starts(count: int, groups: int) -> np.ndarray:
     return np.arange(groups + 1) * count // groups
 
 
-def _boxes(corners: Float[np.ndarray, "T 3 3"], start: Int[np.ndarray, "G1"]) -> Float[np.ndarray, "G 5 3"]:
-    """The axes and the ends of the box about each group of triangles."""
+def _boxes(
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Int[np.ndarray, "T 3"],
+    start: Int[np.ndarray, "G1"],
+    dtype: Any,
+) -> Float[np.ndarray, "G 5 3"]:
+    """The axes and the ends of the box about each group of triangles, a few groups at a time."""
+    boxes = np.empty((len(start) - 1, 5, 3), dtype)
+    i, step = 0, max(1, len(boxes) * PIECE // len(triangles))
+    while i < len(boxes):
+        end = min(i + step, len(boxes))
+        end += start[end] == start[end - 1]  # an empty group is told by the next one
+        own = start[i : end + 1]
+        boxes[i:end] = _boxes_about(vertices[triangles[own[0] : own[-1]]], own - own[0])
+        i = end
+    return boxes
+
+
+def _boxes_about(
+    corners: Float[np.ndarray, "T 3 3"], start: Int[np.ndarray, "G1"]
+) -> Float[np.ndarray, "G 5 3"]:
     first, number = start[:-1], np.diff(start)
 
     def mean(x):
