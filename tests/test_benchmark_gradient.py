@@ -43,6 +43,7 @@ def test_the_gradients_report(tmp_path, monkeypatch, capsys):
     kept = sum(leaf.nbytes for leaf in jax.tree.leaves(state))
     assert (more - fewer) / (4096 - 256) < 1.5 * kept
     monkeypatch.setattr(gradient, "measure", lambda scene, fingers: figures)
+    monkeypatch.setenv("COLUMNS", "200")  # wide figures would break the words beside them
     assert main(["benchmark", "gradient", "--json", str(tmp_path / "f.json")]) == 0
     assert "reverse, checkpoint" in capsys.readouterr().out and (tmp_path / "f.json").stat().st_size > 100
 
