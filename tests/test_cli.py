@@ -183,7 +183,7 @@ def test_fit_finds_what_simulate_was_given(tmp_path, stroke, monkeypatch, capsys
 def test_latency_prints_and_writes_its_figures(tmp_path, monkeypatch, capsys):
     scene, file = write_table(tmp_path / "table.toml", 0.5, 1000.0), tmp_path / "latency.json"
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")  # times of a slow machine are wide, and would break the words beside them
+    monkeypatch.setenv("COLUMNS", "200")  # wide figures would break the words beside them
     quicker = ["--scene", scene, "--fingers", "2", "--seconds", "0.2"]
     bars = followed(monkeypatch, latency)
     arguments, calls = [], latency._calls
