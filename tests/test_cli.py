@@ -194,14 +194,16 @@ def test_latency_prints_and_writes_its_figures(tmp_path, monkeypatch, capsys):
     )
     assert main([*example("benchmark"), *quicker]) == 0
     assert arguments[0] == arguments[1]  # the packed and the empty call's
-    assert bars == [{"total": 2.2, "told": pytest.approx(2.2), "apart": True}]
+    assert bars == [{"total": 2.4, "told": pytest.approx(2.4), "apart": True}]
     printed, figures = capsys.readouterr().out, json.loads(file.read_text())
     for words in ("scan", "packed call", "empty call", "late by", "missed ticks", "compile"):
         assert words in " ".join(printed.split())
     assert figures["fingers"] == 2
-    assert figures["loop"]["ticks"] == 200
-    for kind in ("packed_call_us", "empty_call_us"):
-        values = figures[kind]
+    loops = [figures["loop"], figures["empty_loop"]]
+    assert [loop["ticks"] for loop in loops] == [200, 200]
+    assert all(loop["call_us"]["p50"] < loop["compute_us"]["p50"] for loop in loops)
+    each = [figures["packed_call_us"], figures["empty_call_us"], *(loop["call_us"] for loop in loops)]
+    for values in each:
         assert 0 < values["p50"] <= values["p99"] <= values["p99.9"] <= values["max"]
     assert figures["scan_step_us"] > 0 and figures["compile_s"]["step"] > 0
 

@@ -90,6 +90,7 @@ def run(
     live: Sequence[str] = (),
     limits: Limits | Sequence[Limits] = Limits(),  # noqa: B008
     overrun: int = 20,
+    packed: hapjax.PackedStep | None = None,
 ) -> ServoResult:
     """Let the fingers on `devices` feel a scene for `duration` seconds, and record it.
 
@@ -114,6 +115,7 @@ def run(
     - `limits`: what the devices may be told to do, of all of them or of each; see `Limits` and `Safety`.
     - `overrun`: after more deadlines missed at once than this, 0 or above, no force is put out, and the fingers are let in
         anew.
+    - `packed`: the step, compiled before: of this scene, with this `rate` and these `live` paths. `None`: it is compiled.
 
     A scene whose torsion is a gimbal needs devices that are each a `GimbalDevice`; the recording then has the channel
     `gimbal`, exactly what the step got.
@@ -136,6 +138,11 @@ def run(
         )
     if not devices:
         raise InputError("devices is empty; allowed: one device or more")
+    if packed is not None and (packed.fingers != len(devices) or set(packed.live) != set(live)):
+        raise InputError(
+            f"packed has {packed.fingers} fingers and the live numbers {sorted(packed.live)}; allowed: "
+            f"{len(devices)} and {sorted(live)}, as the devices and live have"
+        )
     if pose_tracker is not None and not scene.moving():
         raise InputError(
             "pose_tracker is given, but no object of the scene has a body; allowed: no pose_tracker"
@@ -149,7 +156,8 @@ def run(
         hip = np.stack([device.read() for device in devices])
         gimbals = [device for device in devices if isinstance(device, GimbalDevice)] if turned else []
         angles = [np.array([device.read_gimbal() for device in gimbals])] if turned else []
-        packed = hapjax.pack(scene, hip, 1 / rate, *angles, live=live)
+        if packed is None:
+            packed = hapjax.pack(scene, hip, 1 / rate, *angles, live=live)
         log = _Log(ticks, rate, packed, force_sensor, pose_tracker, turned)
         control = None if passivity is None else PassivityControl(passivity, 1 / rate, hip)
         bus = inbox = None

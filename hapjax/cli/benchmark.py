@@ -29,13 +29,13 @@ def benchmark(
 ) -> None:
     """Measure on this machine.
 
-    latency: one step inside a compiled loop, one packed call beside an empty one, the servo loop's lateness and
-    missed ticks at 1 kHz, compile time. scene: equations, floating-point operations and time of a step of the scene,
-    and of the scene with each part switched off in turn. stability: where each integrator settles, rings or blows up, and
-    how stiff a wall a device can press on. error: error against run time of each integrator, beside MuJoCo's, on cases
-    with a known truth. gradient: time and memory of gradients beside the forward pass. batch: steps and gradients a second
-    of batches of rollouts, and how far a held object creeps, beside MuJoCo's. fit: errors of estimates beside the least
-    possible, how often 95 % intervals hold the truth, how long fits take.
+    latency: one step inside a compiled loop, one packed call beside an empty one, the servo loop's lateness and missed
+    ticks at 1 kHz with either call, compile time. scene: equations, floating-point operations and time of a step of the
+    scene, and of the scene with each part switched off in turn. stability: where each integrator settles, rings or
+    blows up, and how stiff a wall a device can press on. error: error against run time of each integrator, beside
+    MuJoCo's, on cases with a known truth. gradient: time and memory of gradients beside the forward pass. batch: steps
+    and gradients a second of batches of rollouts, and how far a held object creeps, beside MuJoCo's. fit: errors of
+    estimates beside the least possible, how often 95 % intervals hold the truth, how long fits take.
     Example: hapjax benchmark latency --json latency.json
 
     Args:
@@ -43,7 +43,7 @@ def benchmark(
         scene: Scene file (TOML); absent: the demo's, and of stability, error and gradient the built-in cases. Not of batch
             and fit.
         fingers: Number of fingers, 1 to 100.
-        seconds: How long the servo loop of latency runs, above 0 to 3600 s.
+        seconds: How long the servo loop of latency runs with each call, above 0 to 3600 s.
         integrators: Of stability and error: names as in scene files; none: all.
         maps: Of stability: stiffness mass mass_ratio mu penetration spin inertia loop; none: all.
         rate: Of stability and error: Hz at which --scene is to run, 10 to 100000.

@@ -95,8 +95,9 @@ def test_the_recording_replays(dtype):
 
 
 @pytest.mark.slow
-def test_a_run_is_the_same_each_time_in_real_time_or_not():
+def test_a_run_is_the_same_each_time_in_real_time_or_not_compiled_before_or_then():
     scene = block(jnp.float32)
+    packed = hapjax.pack(scene, np.stack([device.path[0] for device in fingers()]), 1e-3)
     runs = [
         devices.run(
             scene,
@@ -106,8 +107,9 @@ def test_a_run_is_the_same_each_time_in_real_time_or_not():
             pose_tracker=devices.PoseTracker(seed=1),
             realtime=realtime,
             overrun=10**9,  # on a busy machine too
+            packed=given,
         )
-        for realtime in (False, True)
+        for realtime, given in ((False, None), (True, packed))
     ]
     for channel in ("hip", "hip_t", "force", "force_t", "pose", "pose_t"):
         first, second = (getattr(run.recording, channel) for run in runs)
@@ -330,4 +332,23 @@ def test_refusals(change, said):
     arguments = {"devices": watched, "duration": 0.01, "realtime": False} | change
     with pytest.raises(InputError, match=said):
         devices.run(scene, **arguments)
+    assert not any(device.open_now for device in watched)
+
+
+@pytest.mark.parametrize(
+    ("fingers", "live", "said"),
+    [
+        (
+            1,
+            ["object.wall.surface.mu"],
+            r"packed has 1 fingers and the live numbers \['object.wall.surface.mu'\]",
+        ),
+        (2, ["object.wall.surface.mu"], r"allowed: 2 and \[\], as the devices and live have"),
+    ],
+)
+def test_a_step_of_other_fingers_or_live_numbers_is_refused(fingers, live, said):
+    scene, watched = deep()
+    packed = hapjax.pack(scene, np.array([device.place for device in watched[:fingers]]), 1e-3, live=live)
+    with pytest.raises(InputError, match=said):
+        devices.run(scene, watched, 0.01, realtime=False, packed=packed)
     assert not any(device.open_now for device in watched)
