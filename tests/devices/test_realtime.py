@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from hapjax_devices import realtime
 from hapjax_devices.realtime import MonotonicClock, Pacer, uncollected, undisturbed
 
 PERIOD = 1000
@@ -71,6 +72,31 @@ def test_the_monotonic_clock_never_returns_early():
         deadline = time.monotonic_ns() + ahead
         clock.wait(deadline)
         assert time.monotonic_ns() >= deadline
+
+
+@pytest.mark.parametrize(
+    ("rate", "work", "asleep"), [(1000, 100_000, 0.7), (4000, 100_000, 0.25), (4000, 200_000, 0.05)]
+)
+def test_a_loop_sleeps_in_each_period_however_short(rate, work, asleep, monkeypatch):
+    """A process of real-time priority that is busy for over 95 % of a second is stopped for 50 ms of it."""
+    now, slept = [0], []
+
+    def look():
+        now[0] += 1000
+        return now[0]
+
+    def sleep(until):
+        slept.append(until - now[0])
+        now[0] = until
+
+    monkeypatch.setattr(realtime.time, "monotonic_ns", look)
+    clock = MonotonicClock()
+    clock._sleep = sleep
+    pacer = Pacer(10**9 // rate, clock)
+    for _ in range(100):
+        assert pacer.wait() < 2000
+        now[0] += work
+    assert len(slept) == 100 and sum(slept) > asleep * now[0]
 
 
 @pytest.mark.parametrize("enabled", [True, False])
