@@ -313,6 +313,8 @@ def test_frames_are_a_sixtieth_of_a_second_apart_however_long_one_takes_to_draw(
 def test_an_address_that_cannot_be_is_refused():
     with pytest.raises(hapjax.InputError, match=r"port is 65536; allowed: 0"):
         check("127.0.0.1", 65536)
+    with pytest.raises(hapjax.InputError, match="host is ''; allowed: an address"):
+        check("", 0)
     with pytest.raises(
         hapjax.InputError, match=r"192.0.2.1:0 cannot be listened at .*; allowed: an address of this"
     ):

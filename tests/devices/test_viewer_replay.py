@@ -1,5 +1,6 @@
 """Recordings in the viewer: objects where they were recorded, touches as the scene makes them, and a bar that goes on."""
 
+import signal
 from contextlib import nullcontext
 from types import SimpleNamespace
 
@@ -242,6 +243,22 @@ def test_what_cannot_be_played_back_is_refused(case, lifted, tmp_path, monkeypat
     assert error.count("\n") == 1
     for word in words:
         assert word in error
+
+
+def test_what_takes_long_is_told_of_and_ctrl_c_ends_it(lifted, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
+    scene, recording, _ = lifted
+    recording.save("a.npz")
+    hapjax.save_scene(scene, "cube.toml")
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    monkeypatch.setattr(replay, "course_of", lambda *_: signal.raise_signal(signal.SIGINT))
+    try:
+        assert main(["view", "a.npz", "--scene", "cube.toml", "--port", "0"]) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+    said = capsys.readouterr().err
+    assert 0 < said.index("reading") < said.index("following the recording") < said.index("interrupted")
 
 
 class Gui:

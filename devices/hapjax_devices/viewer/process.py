@@ -56,6 +56,8 @@ def check(host: str, port: int) -> None:
         need("viser", "viewer")
     if not 0 <= port <= 65535:
         raise InputError(f"port is {port}; allowed: 0 (any that is free) to 65535")
+    if not host:  # to a socket these are all addresses
+        raise InputError("host is ''; allowed: an address of this computer, 0.0.0.0: all that it has")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         socket.create_server((host, port), family=family).close()

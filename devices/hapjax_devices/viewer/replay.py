@@ -15,6 +15,7 @@ from hapjax import InputError, Scene, load_scene
 from hapjax.body import Motion, centre_within
 from hapjax.errors import within
 from hapjax.paths import part_at
+from hapjax.progress import following
 from hapjax.recording import Recording
 
 from . import plots
@@ -40,13 +41,14 @@ def replay(file: Path, scene: Path | None, host: str, port: int) -> int:
 
     **Raises:** `InputError` for a recording without the fingers' path, without a scene, or of other objects than that has.
     """
-    asked = stop_asked()
-    recording = Recording.load(file)
     with jax.enable_x64(True):
-        given = attached_scene(file) if scene is None else load_scene(scene)
-        live = recorded_numbers(file, given) if scene is None else STILL
-        with within(f"{file}: "):
+        with following(None, doing="reading"):
+            recording = Recording.load(file)
+            given = attached_scene(file) if scene is None else load_scene(scene)
+            live = recorded_numbers(file, given) if scene is None else STILL
+        with within(f"{file}: "), following(None, doing="following the recording"):
             course = course_of(given, recording, live)
+    asked = stop_asked()  # until here Ctrl-C interrupts
     with serving(f"hapjax: {file.name}", host, port, camera(given)) as server:
         player = Player(server, given, course)
         for now in frames(lambda: bool(asked)):
