@@ -19,7 +19,7 @@ from hapjax_devices.safety import Safety
 
 PUSH = np.array([1.0, -2.0, 3.0])
 # What does no harm once the line is open and the firmware runs; a fault in any other way ends the force.
-HARMLESS = {Fault.SHORT_PACKETS, Fault.WRONG_ECHO, Fault.FORBIDDEN, Fault.BUSY}
+HARMLESS = {Fault.SHORT_PACKETS, Fault.WRONG_ECHO, Fault.DEAF, Fault.FORBIDDEN, Fault.BUSY}
 # Ticks: in the first, a fault is still behind a reply that came before it; in the second it shows; then comes no force.
 HIDDEN = 2
 LONGEST = 12_000_000  # ns that any call in a loop may take: two packets that are not taken, or a wait for a late one

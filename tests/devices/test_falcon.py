@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from falcon_cases import PUSH, Rig, SteppedClock
+from falcon_cases import LONGEST, PUSH, Rig, SteppedClock
 from hapjax import InputError
 from hapjax_devices import (
     DeviceClosed,
@@ -229,6 +229,49 @@ def test_several_falcons_are_told_apart_by_their_numbers():
     with Falcon(serial="FT2", backend=bus, clock=clock) as falcon:
         falcon.write(PUSH)
         assert several[1].processor.force.any() and not several[0].processor.force.any()
+
+
+@pytest.mark.parametrize("fault", [Fault.FORBIDDEN, Fault.DEAF])
+def test_one_that_cannot_be_asked_for_its_number_is_not_in_the_way_of_another(fault):
+    clock = SteppedClock()
+    bus = EmulatedUsb(*(EmulatedFalcon(serial=serial, clock=clock) for serial in ("FT1", "FT2")))
+    bus.falcons[0].inject(fault)
+    with Falcon(serial="FT2", backend=bus, clock=clock) as falcon:
+        falcon.write(PUSH)
+        assert bus.falcons[1].processor.force.any()
+    said = {Fault.FORBIDDEN: "may not be opened by this user", Fault.DEAF: "nothing came over USB in time"}
+    with pytest.raises(DeviceError, match=f"a Falcon .*{said[fault]}"):
+        Falcon(serial="FT1", backend=bus, clock=clock).open()
+
+
+@pytest.mark.parametrize("serial", [None, "FT1"])
+def test_a_chip_that_answers_no_request_holds_a_loop_up_for_milliseconds(serial):
+    clock = SteppedClock()
+    emulated = EmulatedFalcon(serial="FT1", clock=clock)
+    falcon = Falcon(serial=serial, backend=EmulatedUsb(emulated), clock=clock)
+    falcon.open()
+    emulated.inject(Fault.UNPLUG)
+    with pytest.raises(DeviceError):
+        falcon.write(PUSH)
+    emulated.mend()
+    emulated.inject(Fault.DEAF)
+    said = set()
+    for _ in range(50):
+        clock.time += 10_000_000
+        began = clock.time
+        assert not falcon.recover() and clock.time - began <= LONGEST
+        said.add(falcon.fault)
+    assert len(said) == 2 and any("nothing came over USB in time" in (each or "") for each in said)
+    began = clock.time
+    with pytest.raises(DeviceError, match="nothing came over USB in time"):
+        falcon.open()
+    assert 90e6 < clock.time - began < 110e6  # no loop waits
+
+
+def test_one_that_the_system_has_not_configured_is_configured(rig):
+    rig.emulated.configuration = 0
+    rig.falcon.open()
+    assert rig.emulated.configuration == 1 and rig.falcon.state == "running"
 
 
 def test_a_falcon_that_may_not_be_opened_says_what_to_do():

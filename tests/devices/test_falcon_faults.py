@@ -27,6 +27,7 @@ ON_THE_WAY = {
     Fault.GARBAGE: NO_ANSWER,
     Fault.SILENCE: NO_ANSWER,
     Fault.TIMEOUT: NO_ANSWER,
+    Fault.DEAF: "nothing came over USB in time",
     Fault.UNPLUG: "no Falcon is attached, or it has no power",
     Fault.WRONG_ECHO: "did not take its firmware: 10 times its boot loader echoed something else",
     Fault.HOMING_LOST: "is not homed: pull its grip all the way out, then push it all the way in",
@@ -41,7 +42,7 @@ FIRST = {
         (Fault.GARBAGE, Fault.SILENCE, Fault.TIMEOUT, Fault.POWER), "no packet came for 100 ms"
     )
     | {Fault.UNPLUG: "is not attached any more"}
-    | dict.fromkeys((Fault.WRONG_ECHO, Fault.FORBIDDEN, Fault.BUSY)),
+    | dict.fromkeys((Fault.WRONG_ECHO, Fault.DEAF, Fault.FORBIDDEN, Fault.BUSY)),
     "running": dict.fromkeys(
         (Fault.GARBAGE, Fault.SILENCE, Fault.CORRUPT, Fault.POWER),
         "no packet that makes sense came in two ticks",

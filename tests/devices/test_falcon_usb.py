@@ -69,6 +69,7 @@ class Socket:
 def patience(monkeypatch):
     """Three processes answer each other here, on a machine that may be busy: what takes them longer is no fault."""
     monkeypatch.setattr(line, "_TIMEOUT", 500)
+    monkeypatch.setattr(line, "HURRIED", 500)
     monkeypatch.setattr(driver, "_PATIENCE", 500_000_000)
 
 

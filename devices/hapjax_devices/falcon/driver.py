@@ -127,8 +127,9 @@ class Falcon(Driver):
     # The way to a running device ------------------------------------------------------------------------------
 
     def _steps(self) -> Iterator[State]:
+        patience = ftdi.PATIENT if self._way is None else ftdi.HURRIED
         yield "connecting"
-        self._line = line = Line(self._serial, self._backend)
+        self._line = line = Line(self._serial, self._backend, patience)
         if not (yield from self._probed(line)):
             if self._image is None:
                 raise DeviceError(

@@ -22,6 +22,7 @@ _SIZE, _STATUS = 64, bytes((0x01, 0x60))
 _CLEAR_TO_SEND = 0x10
 _SETTLED = 5_000_000  # ns from a reset until the line is clear to send
 _THINKS = 100_000  # ns before an answer
+_CONFIGURED = 5000  # ms that Linux gives a device to be configured
 
 
 class Fault(Enum):
@@ -31,6 +32,7 @@ class Fault(Enum):
     GARBAGE = "random bytes come instead of its own"
     SILENCE = "the USB chip goes on, but the processor says nothing"
     TIMEOUT = "nothing can be read over USB"
+    DEAF = "the USB chip answers no request to itself"
     UNPLUG = "the cable is out"
     WRONG_ECHO = "the boot loader echoes another byte now and then"
     HOMING_LOST = "the legs do not know where they are"
@@ -46,8 +48,8 @@ class EmulatedFalcon:
     **Arguments:** `runs`: whether firmware runs already; `hand` as for `Processor`; `serial` number; `seed` of what is
     random in faults; `clock`: `None` is the computer's own.
 
-    **Attributes:** `faults`: the set of those that are on now; `processor`; `requests`: the chip's control requests so far,
-    (bRequest, wValue); `written`: what was sent to the processor so far.
+    **Attributes:** `faults`: the set of those that are on now; `processor`; `configuration` of USB, 0: none; `requests`: the
+    chip's control requests so far, (bRequest, wValue); `written`: what was sent to the processor so far.
     """
 
     def __init__(
@@ -60,7 +62,7 @@ class EmulatedFalcon:
     ):
         self.clock = clock or MonotonicClock()
         self.processor = Processor(self.clock, runs, hand)
-        self.serial = serial
+        self.serial, self.configuration = serial, 1
         self.faults: set[Fault] = set()
         self.requests: list[tuple[int, int]] = []
         self.written: list[bytes] = []
@@ -86,9 +88,15 @@ class EmulatedFalcon:
         if Fault.UNPLUG in self.faults:
             raise OSError(errno.ENODEV, "No such device")
 
+    def check_answers(self, timeout: int) -> None:
+        """Raise what a computer raises where the chip answers no request in `timeout` ms, or the cable is out."""
+        self.check_attached()
+        if Fault.DEAF in self.faults:
+            self.clock.wait(self.clock.now() + timeout * 1_000_000)
+            raise OSError(errno.ETIMEDOUT, "Operation timed out")
+
     def control(self, request: int, value: int) -> None:
         """A control request to the chip."""
-        self.check_attached()
         self.requests.append((request, value))
         if (request, value) == (0, 1):
             self._coming.clear()
@@ -248,13 +256,14 @@ class EmulatedUsb(usb.backend.IBackend):
         """Nothing is held."""
 
     def set_configuration(self, dev_handle, config_value):
-        """There is only one."""
-        _asked(dev_handle.check_attached)
+        """There is only one. Linux asks the device for it."""
+        _asked(lambda: dev_handle.check_answers(_CONFIGURED))
+        dev_handle.configuration = config_value
 
     def get_configuration(self, dev_handle):
-        """There is only one."""
+        """The one that the system has set when the device was attached, as a rule."""
         _asked(dev_handle.check_attached)
-        return 1
+        return dev_handle.configuration
 
     def claim_interface(self, dev_handle, intf):
         """No one else is there."""
@@ -280,10 +289,10 @@ class EmulatedUsb(usb.backend.IBackend):
 
     def ctrl_transfer(self, dev_handle, bmRequestType, bRequest, wValue, wIndex, data, timeout):
         """The chip's requests, and that for a text that describes the device."""
+        _asked(lambda: dev_handle.check_answers(timeout))
         if bmRequestType == 0x40:
-            _asked(lambda: dev_handle.control(bRequest, wValue))
+            dev_handle.control(bRequest, wValue)
             return 0
-        _asked(dev_handle.check_attached)
         text = [b"\x09\x04", *(s.encode("utf-16-le") for s in ("FTDI", "FALCON HAPTIC", dev_handle.serial))][
             wValue & 0xFF
         ]

@@ -17,7 +17,7 @@ _CLEAR_TO_SEND = 0x10  # of the modem status
 _TO_CHIP = 0x40  # bmRequestType of a request to the chip itself
 
 _TIMEOUT = 5  # ms: the chip sends its status every millisecond, whatever the Falcon does
-_CONTROL_TIMEOUT = 100  # ms
+PATIENT, HURRIED = 100, 5  # ms for an answer of the chip itself; the second where a loop waits
 _POLL = 1  # ms
 
 RULES = Path(__file__).parents[1] / "udev" / "60-hapjax.rules"
@@ -66,7 +66,7 @@ def attached_falcons(backend: Any = None) -> list[Attached]:
     **Raises:** `DeviceError` where USB cannot be asked; `InputError` where pyusb is not installed.
     """
     found = []
-    for device in _all(backend):
+    for device in _all(backend, PATIENT):
         try:
             serial, problem = _serial(device), None
         except DeviceError as error:
@@ -79,18 +79,21 @@ class Line:
     """An open line: bytes out, bytes in. Whatever goes wrong is a `DeviceError` of one sentence.
 
     **Arguments:** `serial` number of the Falcon that is meant; `None`: the only one that is attached. `backend` as for
-    `attached_falcons`.
+    `attached_falcons`. `patience`: how many ms the chip itself is given for each answer.
     """
 
-    def __init__(self, serial: str | None = None, backend: Any = None):
-        self._device = _chosen(serial, backend)
+    def __init__(self, serial: str | None = None, backend: Any = None, patience: int = PATIENT):
+        self._device = _chosen(serial, backend, patience)
         self.name = named(serial)
         self.clear_to_send = False
-        self._buffer = need("usb.util", "falcon").create_buffer(_SIZE)
+        util = need("usb.util", "falcon")
+        self._buffer = util.create_buffer(_SIZE)
         try:
             if _kernel_drives(self._device):
                 self._device.detach_kernel_driver(0)
-            self._device.set_configuration()
+            if not _is_configured(self._device):
+                self._device.set_configuration()
+            util.claim_interface(self._device, 0)
         except OSError as error:
             self.close()
             raise _told(error, self.name) from error
@@ -99,7 +102,7 @@ class Line:
         """Send control requests to the chip, in steps that each yield `state`: each takes a frame of USB or two."""
         for request, value in requests:
             try:
-                self._device.ctrl_transfer(_TO_CHIP, request, value, 0, None, _CONTROL_TIMEOUT)
+                self._device.ctrl_transfer(_TO_CHIP, request, value)
             except OSError as error:
                 raise _told(error, self.name) from error
             yield state
@@ -143,18 +146,21 @@ class Line:
         return self._buffer[_STATUS:length].tobytes()
 
 
-def _all(backend: Any) -> list[Any]:
+def _all(backend: Any, patience: int) -> list[Any]:
     core = need("usb.core", "falcon")
     try:
-        return list(core.find(find_all=True, backend=backend, idVendor=VENDOR, idProduct=PRODUCT))
+        found = list(core.find(find_all=True, backend=backend, idVendor=VENDOR, idProduct=PRODUCT))
     except core.NoBackendError:
         raise DeviceError("USB cannot be used: the library libusb-1.0 is not installed") from None
     except OSError as error:
         raise _told(error, "USB") from error
+    for device in found:
+        device.default_timeout = patience
+    return found
 
 
-def _chosen(serial: str | None, backend: Any) -> Any:
-    devices = _all(backend)
+def _chosen(serial: str | None, backend: Any, patience: int) -> Any:
+    devices = _all(backend, patience)
     if not devices:
         raise DeviceError("no Falcon is attached, or it has no power")
     if serial is None:
@@ -164,22 +170,29 @@ def _chosen(serial: str | None, backend: Any) -> Any:
                 f"{len(devices)} Falcons are attached; say which is meant by its serial number: {each}"
             )
         return devices[0]
-    numbers = [_serial(device) for device in devices]
-    if serial not in numbers:
-        raise DeviceError(f"{named(serial)} is not attached; attached: {', '.join(map(str, numbers))}")
-    return devices[numbers.index(serial)]
+    numbers, problem = [], None
+    for device in devices:
+        try:
+            numbers.append(_serial(device))
+        except DeviceError as error:  # of one that may not be meant
+            problem = error
+            continue
+        if numbers[-1] == serial:
+            return device
+    raise problem or DeviceError(f"{named(serial)} is not attached; attached: {', '.join(map(str, numbers))}")
 
 
 def _serial(device: Any) -> str | None:
+    util = need("usb.util", "falcon")
     try:
-        return device.serial_number
+        # Asked for first: pyusb, asked for the text at once, does not say why there is none.
+        languages = util.get_langids(device)
+        return util.get_string(device, device.iSerialNumber, languages[0]) if languages else None
     except OSError as error:
         raise _told(error, "a Falcon") from error
-    except ValueError:  # pyusb's word for strings that it was not allowed to ask for
-        raise _told(PermissionError(errno.EACCES, ""), "a Falcon") from None
     finally:
         # Asked only for its name: whoever opens it does so afresh.
-        need("usb.util", "falcon").dispose_resources(device)
+        util.dispose_resources(device)
 
 
 def named(serial: str | None) -> str:
@@ -192,6 +205,18 @@ def _kernel_drives(device: Any) -> bool:
         return device.is_kernel_driver_active(0)
     except NotImplementedError:  # libusb cannot ask on Windows, where its own driver is the only one
         return False
+
+
+def _is_configured(device: Any) -> bool:
+    """Whether the system has configured the device, as it does when it is attached. To have it done again may take seconds
+    where the chip does not answer, whatever is asked for."""
+    try:
+        device.get_active_configuration()
+    except OSError as error:
+        if error.errno is not None:
+            raise
+        return False  # pyusb's own word
+    return True
 
 
 def _told(error: OSError, name: str) -> DeviceError:
