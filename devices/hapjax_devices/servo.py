@@ -20,30 +20,32 @@ from .ending import Ending
 from .event import Diary, Event
 from .fingers import DeviceFault, Fingers
 from .passivity import Passivity, PassivityControl
-from .realtime import MonotonicClock, Pacer, uncollected, undisturbed
+from .realtime import SPIN_NS, MonotonicClock, Pacer, uncollected, undisturbed
 from .safety import Counts, Limits, Safety
 from .sensor import ForceSensor, PoseTracker
 
 LAST = 1.0  # s of a run without an end that its result has
 WARM_UP = 50  # calls before the first deadline: the first ones of a compiled function are slow
+_COLD = 4  # so many times as long as one of many in a row takes a call after a sleep
 
 
 @dataclass(frozen=True)
 class ServoResult:
     """What a run of the servo loop leaves behind.
 
-    `recording`; for each tick how late it began, `lateness_us`, and how long it worked, `compute_us` (T,) us;
-    `missed` deadlines; `safety`, how many force commands of each device were changed; `refused`, a sentence for each
-    privilege that the system did not grant; `passivity`, what its control saw and did, `None` where it was off; `lost`,
-    at how many ticks the scene left the range of sense, and no force was put out; the `faults` of devices that came
-    back, or might have, or failed when they were let go; how many ticks the bus did not take, `unsent`; `overrun`, how
-    many ticks came far too late; `events`, all that happened, in words. Of a run without an end the recording and the
-    times are those of its last second.
+    `recording`; for each tick how late it began, `lateness_us`, how long it worked, `compute_us`, and how long of that
+    the step took, `step_us` (T,) us; `missed` deadlines; `safety`, how many force commands of each device were changed;
+    `refused`, a sentence for each privilege that the system did not grant; `passivity`, what its control saw and did,
+    `None` where it was off; `lost`, at how many ticks the scene left the range of sense, and no force was put out; the
+    `faults` of devices that came back, or might have, or failed when they were let go; how many ticks the bus did not
+    take, `unsent`; `overrun`, how many ticks came far too late; `events`, all that happened, in words. Of a run without
+    an end the recording and the times are those of its last second.
     """
 
     recording: Recording
     lateness_us: Float[np.ndarray, "T"]
     compute_us: Float[np.ndarray, "T"]
+    step_us: Float[np.ndarray, "T"]
     missed: int
     safety: tuple[Counts, ...]
     refused: tuple[str, ...]
@@ -65,10 +67,11 @@ class ServoResult:
         return sum(counts.limited for counts in self.safety)
 
     def summary(self) -> dict[str, dict[str, float] | int]:
-        """p50, p99, p99.9 and max of lateness and of compute time in us; ticks done and ticks missed."""
+        """p50, p99, p99.9 and max of lateness, of work and of the step in us; ticks done and ticks missed."""
         return {
             "lateness_us": _percentiles(self.lateness_us),
             "compute_us": _percentiles(self.compute_us),
+            "step_us": _percentiles(self.step_us),
             "ticks": len(self.lateness_us),
             "missed": self.missed,
             "lost": self.lost,
@@ -167,21 +170,21 @@ def run(
             last.callback(_tell_all, diary, bus)
             inbox = stack.enter_context(Inbox(about, scene, bus)) if live else None
             bus.wait_for(broadcast.readers, broadcast.patience)
-        for _ in range(WARM_UP):
-            packed.force(packed.call(packed.start, *(x.astype(packed.dtype) for x in (hip, *angles))))
+        brief = _warmed_up(packed, [x.astype(packed.dtype) for x in (hip, *angles)]) * _COLD < SPIN_NS // 2
         stack.enter_context(uncollected())
         refused = stack.enter_context(undisturbed() if realtime else nullcontext([]))
         stack.enter_context(fingers.let_go())
         check = stack.enter_context(ending.between())
         watch = _Watch(rate if realtime else None, overrun, fingers, safety, diary, check)
-        _loop(packed, fingers, hip, gimbals, watch, control, log, bus, inbox, stopped)
+        _loop(packed, fingers, hip, gimbals, watch, brief, control, log, bus, inbox, stopped)
     diary.end()
     recording = log.recording()
-    lateness_us, compute_us = log.times()
+    lateness_us, compute_us, step_us = log.times()
     return ServoResult(
         recording,
         lateness_us,
         compute_us,
+        step_us,
         watch.missed,
         tuple(safety.counts),
         tuple(refused),
@@ -194,12 +197,23 @@ def run(
     )
 
 
+def _warmed_up(packed: hapjax.PackedStep, inputs: Sequence[np.ndarray]) -> int:
+    """How long (ns) a call of the step takes in a row of them."""
+    taken = []
+    for _ in range(WARM_UP):
+        began = time.perf_counter_ns()
+        packed.force(packed.call(packed.start, *inputs))
+        taken.append(time.perf_counter_ns() - began)
+    return min(taken)
+
+
 def _loop(
     packed: hapjax.PackedStep,
     fingers: Fingers,
     first: Float[np.ndarray, "F 3"],
     gimbals,
     watch: "_Watch",
+    brief: bool,
     control: PassivityControl | None,
     log: "_Log",
     bus: TickPublisher | None,
@@ -216,15 +230,22 @@ def _loop(
     memory = packed.begin(*inputs)
     if control is not None:
         control(output, hip)
-    watch.start()
+
+    def rehearsal() -> None:
+        # While the loop sleeps, others fill the processor's caches: without this a step takes more than twice as long.
+        packed.force(packed.call(memory, *inputs))
+
+    watch.start(rehearsal if brief else lambda: None)
     for tick in count() if log.ticks is None else range(log.ticks):
         late, began = watch.wait(tick)
         if tick:
             _read(tick, fingers, gimbals, hip, angle)
         if inbox is not None:
             memory = inbox.put(tick, memory)
+        asked = time.perf_counter_ns()
         memory = packed.call(memory, *inputs)
         lost = packed.is_lost(memory)
+        step_us = (time.perf_counter_ns() - asked) * 1e-3
         watch.lost += lost
         wanted = force = packed.force(memory)
         if control is not None:
@@ -242,7 +263,7 @@ def _loop(
                 tick, began, late * 1e-3, worked, watch.counts(), fingers.down, hip, angle, output, memory
             )
             watch.diary.tell(bus.tell)
-        log.time(tick, late * 1e-3, (time.perf_counter_ns() - began) * 1e-3)
+        log.time(tick, late * 1e-3, (time.perf_counter_ns() - began) * 1e-3, step_us)
         if stopped is not None and stopped():
             break
 
@@ -281,10 +302,10 @@ class _Watch:
         self.safety, self.diary = safety, diary
         self.overrun = self.lost = 0
 
-    def start(self) -> None:
-        """The first deadline is one period from now."""
+    def start(self, rehearsal: Callable[[], object]) -> None:
+        """The first deadline is one period from now; `rehearsal` as for `MonotonicClock`."""
         if self._rate is not None:
-            self._pacer = Pacer(round(1e9 / self._rate), MonotonicClock())
+            self._pacer = Pacer(round(1e9 / self._rate), MonotonicClock(rehearsal))
 
     @property
     def missed(self) -> int:
@@ -329,7 +350,7 @@ class _Log:
         kept = max(1, round(LAST * rate)) if ticks is None else ticks
         self.hip, self._model = np.zeros((2, kept, packed.fingers, 3))
         self.gimbal = np.zeros((kept, packed.fingers)) if turned else None
-        self._times = np.zeros((2, kept))
+        self._times = np.zeros((3, kept))
         if force_sensor is not None:
             self._force_every = _every("force_sensor", force_sensor.rate, rate)
             self._force = np.zeros((-(-kept // self._force_every), packed.fingers, 3))
@@ -350,13 +371,13 @@ class _Log:
             pose = np.asarray(memory)[self._pose_at]
             self._pose[tick // self._pose_every % len(self._pose)] = self._pose_tracker.measure(pose)
 
-    def time(self, tick: int, lateness_us: float, compute_us: float) -> None:
-        """Note how late a tick began and how long it worked: it is done."""
-        self._times[:, tick % len(self.hip)] = lateness_us, compute_us
+    def time(self, tick: int, lateness_us: float, compute_us: float, step_us: float) -> None:
+        """Note how late a tick began and how long it worked, and the step in that: it is done."""
+        self._times[:, tick % len(self.hip)] = lateness_us, compute_us, step_us
         self._done = tick + 1
 
-    def times(self) -> Float[np.ndarray, "2 T"]:
-        """Lateness and work, us."""
+    def times(self) -> Float[np.ndarray, "3 T"]:
+        """Lateness, work and step, us."""
         return _kept(self._times.T, self._done)[1].T
 
     def recording(self) -> Recording:

@@ -88,36 +88,23 @@ def _loops(
 ) -> tuple[dict[str, Any], list[str]]:
     """What the servo loop did with each step, for so many `seconds` in turns, and what it had to do without."""
     turns = int(np.ceil(seconds / TURN))
-    results, calls = {name: [] for name in steps}, {name: [] for name in steps}
+    results = {name: [] for name in steps}
     for _ in range(turns):
         for name, step in steps.items():
-            taken: list[float] = []
-            results[name].append(felt_through(_timed(step, taken), seconds / turns))
-            calls[name] += taken[-len(results[name][-1].compute_us) :]  # not those of the warm-up
+            results[name].append(felt_through(step, seconds / turns))
+
+    def spread(of: str, own: list[Any]) -> dict[str, float]:
+        return _percentiles(np.concatenate([getattr(result, of) for result in own]))
+
     figures = {
         name: {
-            "lateness_us": _percentiles(np.concatenate([result.lateness_us for result in own])),
-            "compute_us": _percentiles(np.concatenate([result.compute_us for result in own])),
-            "call_us": _percentiles(np.array(calls[name])),
+            **{of: spread(of, own) for of in ("lateness_us", "compute_us", "step_us")},
             "ticks": sum(len(result.compute_us) for result in own),
             "missed": sum(result.missed for result in own),
         }
         for name, own in results.items()
     }
     return figures, list(results["loop"][0].refused)
-
-
-def _timed(step: PackedStep, taken: list[float]) -> PackedStep:
-    """The step, of which each call says how long it took, us."""
-
-    def call(*given: Any) -> Any:
-        began = time.perf_counter_ns()
-        memory = step.call(*given)
-        step.force(memory)
-        taken.append((time.perf_counter_ns() - began) * 1e-3)
-        return memory
-
-    return replace(step, call=partial(call))
 
 
 def _empty(packed: PackedStep, inputs: list[np.ndarray]) -> partial[Any]:
@@ -174,7 +161,7 @@ def _table(figures: dict[str, Any]) -> Table:
     for name, loop in loops.items():
         row(f"{name}, late by", loop["lateness_us"])
         row("work in a tick", loop["compute_us"])
-        row("the call in that", loop["call_us"])
+        row("the call in that", loop["step_us"])
         table.add_row("missed ticks", f"{loop['missed']} of {loop['ticks']}", "", "", "", "")
     for name, seconds in figures["compile_s"].items():
         table.add_row(f"compile the {name}", f"{seconds:.2f}", "", "", "", "s")

@@ -99,6 +99,28 @@ def test_a_loop_sleeps_in_each_period_however_short(rate, work, asleep, monkeypa
     assert len(slept) == 100 and sum(slept) > asleep * now[0]
 
 
+@pytest.mark.parametrize(
+    ("ahead", "over", "rehearsed"),
+    [(900_000, 0, 1), (900_000, 60_000, 1), (900_000, 90_000, 0), (100_000, 0, 0), (-5000, 0, 0)],
+)
+def test_a_tick_is_rehearsed_after_a_sleep_where_there_is_time(ahead, over, rehearsed, monkeypatch):
+    now, done = [0], []
+
+    def look():
+        now[0] += 1000
+        return now[0]
+
+    def sleep(until):
+        now[0] = until + over
+
+    monkeypatch.setattr(realtime.time, "monotonic_ns", look)
+    clock = MonotonicClock(lambda: done.append(now[0]))
+    clock._sleep = sleep
+    deadline = now[0] + ahead
+    clock.wait(deadline)
+    assert len(done) == rehearsed and all(deadline - at > realtime.SPIN_NS // 2 for at in done)
+
+
 @pytest.mark.parametrize("enabled", [True, False])
 def test_the_collector_is_off_inside_and_as_before_afterwards(enabled):
     before = gc.isenabled()

@@ -121,13 +121,45 @@ def test_a_run_is_the_same_each_time_in_real_time_or_not_compiled_before_or_then
     assert late.summary()["ticks"] == 300
 
 
+@pytest.mark.parametrize(("takes", "calls_a_tick"), [(0.0, 2), (1e-3, 1)])
+def test_a_brief_step_is_rehearsed_before_each_tick_and_another_is_not(takes, calls_a_tick, monkeypatch):
+    class Clock:
+        def __init__(self, rehearsal):
+            self.time, self.rehearsal = 0, rehearsal
+
+        def now(self):
+            return self.time
+
+        def wait(self, deadline):
+            self.time = deadline
+            self.rehearsal()
+
+    monkeypatch.setattr(servo, "MonotonicClock", Clock)
+    monkeypatch.setattr(servo, "_COLD", 0 if not takes else servo._COLD)  # on a busy machine too
+    scene, watched = deep()
+    packed, given = hapjax.pack(scene, np.array([device.place for device in watched]), 1e-3), []
+
+    def call(memory, hip):
+        given.append(np.array(memory))
+        time.sleep(takes)
+        return packed.call(memory, hip)
+
+    result = devices.run(scene, watched, 0.02, packed=replace(packed, call=partial(call)))
+    assert len(given) == servo.WARM_UP + calls_a_tick * 20
+    in_loop = np.array(given[servo.WARM_UP :]).reshape(20, calls_a_tick, -1)
+    np.testing.assert_array_equal(in_loop[:, 0], in_loop[:, -1])  # rehearsed with what the tick begins with
+    assert not np.array_equal(in_loop[0, 0], in_loop[-1, 0])
+    assert np.all(result.step_us >= takes * 1e6) and np.all(result.step_us <= result.compute_us)
+
+
 def test_the_summary_is_that_of_the_ticks():
     lateness = np.arange(1001.0)
     recording = hapjax.Recording(hip=np.zeros((1, 1, 3)), hip_t=np.zeros(1))
-    result = devices.ServoResult(recording, lateness, lateness / 10, 7, (), ())
+    result = devices.ServoResult(recording, lateness, lateness / 10, lateness / 20, 7, (), ())
     summary = result.summary()
     assert summary["lateness_us"] == pytest.approx({"p50": 500, "p99": 990, "p99.9": 999, "max": 1000})
     assert summary["compute_us"] == pytest.approx({"p50": 50, "p99": 99, "p99.9": 99.9, "max": 100})
+    assert summary["step_us"] == pytest.approx({"p50": 25, "p99": 49.5, "p99.9": 49.95, "max": 50})
     assert (summary["ticks"], summary["missed"]) == (1001, 7)
 
 
