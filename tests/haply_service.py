@@ -2,18 +2,21 @@
 
 import json
 import threading
+import time
 
 import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import serve
 
+DROPS = 2000  # after which what drips gives up
 _AT = '{"inverse3": [{"device_id": "049D", "state": {"cursor_position": %s}}]}'
 
 
 class HaplyService:
     """Answers on `url` for devices at `place` (m), and keeps the last `force` (N) of each and all the `messages`.
 
-    **Attributes:** `fault`: `None`, or one of `FAULTS`. A force ends with its connection, as the service's does.
+    **Attributes:** `fault`: `None`, `"drips"`, an answer in small pieces without end, or one of `FAULTS`; `drops`: how many
+    pieces have been sent. A force ends with its connection, as the service's does.
     """
 
     FAULTS = ("silence", "closed", "garbage", "nan", "nothing", "unplugged", "jump", "deep", "text", "huge")
@@ -22,6 +25,7 @@ class HaplyService:
         self.field, self.place, self.fault = field, np.zeros(3), None
         self.force = {name: np.zeros(3) for name in ids}
         self.messages: list[dict] = []
+        self.drops = 0
         self._server = serve(self._serve, "127.0.0.1", 0)
         self.url = f"ws://127.0.0.1:{self._server.socket.getsockname()[1]}"
         self._thread = threading.Thread(target=self._server.serve_forever)
@@ -61,10 +65,18 @@ class HaplyService:
         finally:
             self.force = {name: np.zeros(3) for name in self.force}
 
+    def _drips(self):
+        yield '{"inverse3": "'
+        while self.drops < DROPS:
+            time.sleep(1e-3)
+            self.drops += 1
+            yield "a"
+
     def _answer(self):
         return {
             None: lambda: json.dumps(self._state(self.place)),
             "silence": lambda: None,
+            "drips": self._drips,
             "garbage": lambda: b"\xff\xfe<html>",
             "nan": lambda: json.dumps(self._state((0.0, np.nan, 0.0))),
             "nothing": lambda: "{}",

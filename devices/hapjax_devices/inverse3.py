@@ -3,9 +3,12 @@
 import errno
 import json
 import select
+import socket
+import time
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import Any, Literal
+from urllib.parse import urlsplit
 
 import numpy as np
 from jaxtyping import Float
@@ -22,7 +25,7 @@ URL = "ws://localhost:10001"
 RESOLUTION = 1e-5  # m
 FORCE_LIMIT = 5.0  # N, unless another is given
 _OPENING = 1.0  # s for TCP and the websocket's handshake
-_SHAKE = 0.005  # s for them after a fault, for a loop waits; and for the rest of a message
+_SHAKE = 0.005  # s for them after a fault, for a loop waits; for the rest of a message, and to send one
 _INVENTORY = 1_000_000_000  # ns until the service has said what is attached
 _PATIENCE = 2_000_000  # ns that an overdue reply is waited for
 _MESSAGES = 8  # in one tick
@@ -35,13 +38,14 @@ def attached_inverse3(url: str = URL) -> list[str]:
 
     **Raises:** `DeviceError` where there is no service; `InputError` where the extra `inverse3` is not installed.
     """
-    socket = _connected(url, _OPENING, "an Inverse3")
+    connection = _connected(url, _OPENING, "an Inverse3")
     try:
-        return _ids(_parsed(socket.recv_data()[1]))
+        connection.sock.give(_OPENING)
+        return _ids(_parsed(connection.recv_data()[1]))
     except (OSError, need("websocket", "inverse3").WebSocketException) as error:
         raise DeviceError(f"Haply's service at {url} does not say which Inverse3 are attached") from error
     finally:
-        socket.shutdown()
+        connection.shutdown()
 
 
 class Inverse3(Driver):
@@ -84,16 +88,19 @@ class Inverse3(Driver):
         self.name = "the Inverse3" if device_id is None else f"the Inverse3 {device_id}"
         placement = placement or Placement()
         self._rotation, self._origin = placement.rotation(), np.asarray(placement.position)
-        self._socket: Any = None
+        self._connection: Any = None
+        self._address: tuple[str, int] | None = None  # which a name was looked up to be, when it was opened
         self._id: str | None = None  # of the device that this connection drives
 
     # The way to a running device ------------------------------------------------------------------------------
 
     def _steps(self) -> Iterator[State]:
-        patience = _OPENING if self._way is None else _SHAKE
+        opening = self._way is None
+        patience, address = (_OPENING, None) if opening else (_SHAKE, self._address)
         yield "connecting"
-        self._socket = _connected(self._url, patience, self.name)
-        self._socket.settimeout(_SHAKE)
+        self._connection = _connected(self._url, patience, self.name, address)
+        self._sock = self._connection.sock
+        self._address = self._sock.getpeername()[:2]
         until = self._clock.now() + _INVENTORY
         while not (messages := self._received(1_000_000)):
             yield "connecting"
@@ -139,16 +146,16 @@ class Inverse3(Driver):
         return force
 
     def _release(self) -> None:
-        socket = self._socket
-        if socket is None:
+        connection = self._connection
+        if connection is None:
             return
         if self._id is not None:
             with suppress(DeviceError):
                 self._send(np.zeros(3))
-        self._socket = self._id = None
+        self._connection = self._id = None
         with suppress(OSError, self._websocket.WebSocketException):
-            socket.send_close()
-        socket.shutdown()
+            connection.send_close()
+        connection.shutdown()
 
     def _take_reply(self) -> None:
         """Move on to the newest reply; the second time in a row that there is none is a fault."""
@@ -200,7 +207,8 @@ class Inverse3(Driver):
         values = dict(zip("xyz", force.tolist(), strict=True))
         command = {"device_id": self._id, "commands": {"set_cursor_force": {self._field: values}}}
         try:
-            self._socket.send(json.dumps({"inverse3": [command]}))
+            self._sock.give(_SHAKE)
+            self._connection.send(json.dumps({"inverse3": [command]}))
         except (OSError, self._websocket.WebSocketException) as error:
             raise self._gone() from error
 
@@ -209,8 +217,9 @@ class Inverse3(Driver):
         is no JSON."""
         websocket, messages, seconds = self._websocket, [], wait * 1e-9
         try:
-            while len(messages) < _MESSAGES and select.select([self._socket.sock], [], [], seconds)[0]:
-                messages.append(_parsed(self._socket.recv_data()[1]))
+            while len(messages) < _MESSAGES and select.select([self._sock], [], [], seconds)[0]:
+                self._sock.give(_SHAKE)
+                messages.append(_parsed(self._connection.recv_data()[1]))
                 seconds = 0.0
         except websocket.WebSocketTimeoutException:
             pass  # a part of a message: the rest comes later
@@ -229,16 +238,60 @@ def _parsed(data: bytes) -> Any:
         return None
 
 
-def _connected(url: str, seconds: float, name: str) -> Any:
-    websocket = need("websocket", "inverse3")
+class _Socket(socket.socket):
+    """A connection that sends and receives for so long as it is given, in however small pieces."""
+
+    _until = 0.0
+
+    def give(self, seconds: float) -> None:
+        """All calls from now on wait for so many s, together."""
+        self._until = time.monotonic() + seconds
+
+    def recv(self, *arguments: Any) -> bytes:
+        """See `socket.socket`."""
+        with self._in_time():
+            return super().recv(*arguments)
+
+    def send(self, *arguments: Any) -> int:
+        """See `socket.socket`."""
+        with self._in_time():
+            return super().send(*arguments)
+
+    @contextmanager
+    def _in_time(self) -> Iterator[None]:
+        self.settimeout(max(self._until - time.monotonic(), 0.0))
+        try:
+            yield
+        except BlockingIOError:  # there is no time left to wait in
+            raise TimeoutError("timed out") from None
+
+
+def _connected(url: str, seconds: float, name: str, address: tuple[str, int] | None = None) -> Any:
+    """A connection to the service, at an `address` where one is known: to look a name up may take long."""
+    websocket, until = need("websocket", "inverse3"), time.monotonic() + seconds
     try:
-        return websocket.create_connection(url, timeout=seconds, skip_utf8_validation=True)
-    except ValueError:
-        raise InputError(f"url of Haply's service is {url!r}; allowed: ws://HOST:PORT") from None
+        found = socket.create_connection(address or _address(url), seconds)
+        found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        sock = _Socket(fileno=found.detach())
+        sock.give(until - time.monotonic())
+        try:
+            return websocket.create_connection(url, socket=sock, redirect_limit=0, skip_utf8_validation=True)
+        except BaseException:
+            sock.close()
+            raise
     except (OSError, websocket.WebSocketException) as error:
         refused = isinstance(error, OSError) and error.errno == errno.ECONNREFUSED
         said = "no program listens there" if refused else str(error) or type(error).__name__
         raise DeviceError(f"{name} needs Haply's service at {url}: {said}") from error
+
+
+def _address(url: str) -> tuple[str, int]:
+    """Host and port of a URL. **Raises:** `InputError` where it has none."""
+    with suppress(ValueError):
+        parts = urlsplit(url)
+        if parts.scheme == "ws" and parts.hostname:
+            return parts.hostname, parts.port or 80
+    raise InputError(f"url of Haply's service is {url!r}; allowed: ws://HOST:PORT")
 
 
 def _ids(inventory: Any) -> list[str]:

@@ -1,7 +1,9 @@
 """The Inverse3's driver against a stand-in for Haply's service."""
 
 import socket
+import threading
 import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from hapjax_devices import (
     driver,
     inverse3,
 )
-from haply_service import HaplyService
+from haply_service import DROPS, HaplyService
 
 PUSH = np.array([1.0, -2.0, 1.5])
 SAID = {
@@ -82,7 +84,8 @@ def test_a_service_has_long_to_answer_until_a_loop_waits(service, monkeypatch):
     monkeypatch.setattr(inverse3, "_connected", lambda *to: given.append(to[1]) or real(*to))
     device = Inverse3(url=service.url)
     with device:
-        assert device._socket.gettimeout() == 5.0
+        device.read()
+        assert 0 < device._connection.sock.gettimeout() <= 5.0
         service.fault = "closed"
         with pytest.raises(DeviceError):
             for _ in range(3):
@@ -90,9 +93,62 @@ def test_a_service_has_long_to_answer_until_a_loop_waits(service, monkeypatch):
                 device.read()
         service.fault = None
         until(device.recover)
-        assert given[0] == 7.0 and {*given[1:]} == {5.0} and device._socket.gettimeout() == 5.0
+        assert given[0] == 7.0 and {*given[1:]} == {5.0} and device._connection.sock.gettimeout() <= 5.0
     with device:
         assert given[-1] == 7.0
+
+
+def test_what_comes_in_small_pieces_holds_a_loop_up_no_longer_than_what_does_not_come(service, monkeypatch):
+    monkeypatch.setattr(inverse3, "_SHAKE", 0.005)
+    with Inverse3(url=service.url) as device:
+        service.fault = "drips"
+        with pytest.raises(DeviceError, match="no message that makes sense came in two ticks"):
+            for _ in range(3):
+                device.write(PUSH)
+                device.read()
+    assert service.drops < DROPS / 2
+
+
+def test_a_handshake_in_small_pieces_holds_a_loop_up_no_longer_than_one_that_does_not_come():
+    drops = []
+
+    def drip():
+        connection = server.accept()[0]
+        with connection, suppress(OSError):
+            connection.recv(65536)
+            connection.sendall(b"HTTP/1.1 101 Switching Protocols\r\nServer: ")
+            while len(drops) < DROPS:
+                time.sleep(1e-3)
+                connection.send(b"a")
+                drops.append(1)
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=drip)
+        thread.start()
+        url = f"ws://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(DeviceError, match=f"the Inverse3 needs Haply's service at {url}: .*timed out"):
+            inverse3._connected(url, 0.005, "the Inverse3")
+        thread.join()
+    assert len(drops) < DROPS / 2
+
+
+def test_a_name_is_looked_up_before_a_loop_waits(service, monkeypatch):
+    port, asked, real = int(service.url.rsplit(":", 1)[1]), [], socket.getaddrinfo
+
+    def look_up(host, *rest):
+        asked.append(host)
+        return real("127.0.0.1" if host == "haply" else host, *rest)
+
+    monkeypatch.setattr(socket, "getaddrinfo", look_up)
+    with Inverse3(url=f"ws://haply:{port}") as device:
+        service.fault = "closed"
+        with pytest.raises(DeviceError):
+            for _ in range(3):
+                device.write(PUSH)
+                device.read()
+        service.fault = None
+        until(device.recover)
+    assert asked[0] == "haply" and {*asked[1:]} == {"127.0.0.1"}
 
 
 def test_the_newer_message_format():
