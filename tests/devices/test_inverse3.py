@@ -99,7 +99,7 @@ def test_a_service_has_long_to_answer_until_a_loop_waits(service, monkeypatch):
 
 
 def test_what_comes_in_small_pieces_holds_a_loop_up_no_longer_than_what_does_not_come(service, monkeypatch):
-    monkeypatch.setattr(inverse3, "_SHAKE", 0.005)
+    monkeypatch.setattr(inverse3, "_SHAKE", 0.05)
     with Inverse3(url=service.url) as device:
         service.fault = "drips"
         with pytest.raises(DeviceError, match="no message that makes sense came in two ticks"):
