@@ -127,7 +127,7 @@ def test_a_handshake_in_small_pieces_holds_a_loop_up_no_longer_than_one_that_doe
         thread.start()
         url = f"ws://127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(DeviceError, match=f"the Inverse3 needs Haply's service at {url}: .*timed out"):
-            inverse3._connected(url, 0.005, "the Inverse3")
+            inverse3._connected(url, 0.05, "the Inverse3")
         thread.join()
     assert len(drops) < DROPS / 2
 
