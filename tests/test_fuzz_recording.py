@@ -4,6 +4,7 @@ import functools
 import gc
 import io
 import time
+import tracemalloc
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,11 @@ import pyarrow
 import pyarrow.parquet as parquet
 import pytest
 from hypothesis import HealthCheck, given, settings
+from mcap.writer import IndexType, Writer
 
 from hapjax import InputError, Recording, load_recording
 from hapjax.recording import parquet_file
+from hapjax.recording.recovering import recover
 from test_recording_mcap import bag, json_file
 
 RNG = np.random.default_rng(0)
@@ -141,15 +144,15 @@ def forget_peak() -> bool:
 
 
 def check(path: Path, content: bytes, topics, load, before: int | None, margin: int = MARGIN) -> None:
-    """Read or refused in a sentence, in under 10 s and, from `before` on, 20 times the file's size."""
+    """Read or refused in a sentence, in under 10 s of the processor and, from `before` on, 20 times the file's size."""
     path.write_bytes(content)
-    began = time.perf_counter()
+    began = time.process_time()
     try:
         load(path, topics)
     except InputError as error:
         said = str(error)
         assert said.startswith(str(path)) and "\n" not in said and len(said) < 4000, said
-    assert time.perf_counter() - began < 10
+    assert time.process_time() - began < 10
     if before is not None:
         assert memory("VmHWM") - before < 20 * len(content) + margin
 
@@ -241,6 +244,45 @@ DENSE = {
         "hip, message 0: expected at most 65536 bytes",
     ),
 }
+
+
+def shrunk(entries: int, messages: int) -> bytes:
+    """One chunk, with a channel of so many entries of metadata and so many messages of no bytes."""
+    file = io.BytesIO()
+    writer = Writer(file, chunk_size=2**30, repeat_channels=False, index_types=IndexType.NONE)
+    writer.start()
+    channel = writer.register_channel("/hip", "json", 0, {f"{i:x}": "" for i in range(entries)})
+    for _ in range(messages):
+        writer.add_message(channel, 0, b"", 0)
+    writer.finish()
+    return file.getvalue()
+
+
+def test_channels_that_would_take_far_more_as_objects_are_refused(tmp_path):
+    check_room(tmp_path, ".mcap", shrunk(entries=100_000, messages=1))
+    with pytest.raises(InputError, match="schemas and channels that take at most"):
+        load_recording(tmp_path / "b.mcap")
+
+
+def test_recovering_many_messages_takes_no_more_than_20_times_the_size(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(shrunk(entries=0, messages=30_000))
+    tracemalloc.start()
+    try:
+        assert recover(path, tmp_path / "out.mcap").messages == {"/hip": 30_000}
+        assert tracemalloc.get_traced_memory()[1] < 6.5 * 2**20  # of it 5 the writer's; with all as objects 8
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_table_of_many_columns_and_no_rows_is_refused(tmp_path):
+    file = io.BytesIO()
+    names = ["t", *(f"gimbal{i}" for i in range(20_000))]
+    schema = pyarrow.schema([(name, pyarrow.float64()) for name in names])
+    parquet.ParquetWriter(file, schema, store_schema=False).close()
+    check_room(tmp_path, ".parquet", file.getvalue())
+    with pytest.raises(InputError, match="bytes at its end"):
+        load_recording(tmp_path / "b.parquet")
 
 
 def test_a_time_that_goes_back_takes_no_more_than_20_times_the_size(tmp_path):

@@ -42,7 +42,9 @@ def cleaned(path: Path, content: Content) -> Content:
             keep, found = step(channel, _at(values, rows), _at(times, rows))
             findings += found
             if step is _clock and len(rows) - len(keep) > _MOST_LATE * len(rows):
-                lost = int(np.setdiff1d(rows, rows[keep])[0])
+                late = np.ones(len(rows), bool)
+                late[keep] = False
+                lost = int(rows[np.argmax(late)])
                 problem = f"{len(rows) - len(keep)} of {len(rows)} samples are not after those before them"
                 raise InputError(
                     f"{path}, {channel}, {content.place(channel, lost)}: expected times that increase; {problem}"

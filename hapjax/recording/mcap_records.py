@@ -9,9 +9,14 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..extras import need
-from .content import CHUNK_RATIO, check_unpacked
+from .content import CHUNK_RATIO, UNPACKED_MARGIN, UNPACKED_RATIO, check_unpacked
 from .finding import Finding
 
+_SCHEMA, _MESSAGE = 3, 5
+_OBJECT, _ENTRIES = (
+    500,
+    16,
+)  # bytes that a record takes as an object, and by how much its entries grow as objects
 DAMAGE = (ValueError, TypeError, KeyError, struct.error, OverflowError, MemoryError, EOFError, RuntimeError)
 
 
@@ -28,6 +33,7 @@ class Scan:
         need("mcap", "recording")
         self.path, self.size = path, path.stat().st_size
         self.messages, self.latest = 0, None
+        self._described = Described(path, self.size)
         self._whole = 0  # bytes that were read
         self._ended = False
 
@@ -112,6 +118,7 @@ class Scan:
             raise self._damaged("a chunk of another length than it says")
         if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
             raise self._damaged("a chunk with a wrong checksum")
+        self._described.add(data)
         stream = io.BytesIO(data)
         try:
             yield from self._reader(stream, len(data), skip_magic=True).records
@@ -124,6 +131,30 @@ class Scan:
     def _damaged(self, what: str) -> InputError:
         where = f"{self.path}, after {self.messages} messages, at byte {self._whole}"
         return InputError(f"{where}: expected a whole MCAP file, found {what[:200]}")
+
+
+class Described:
+    """The room that what describes the messages of a file takes: the schema or channel of each number stays."""
+
+    def __init__(self, path: Path, size: int):
+        self._path, self._most = path, UNPACKED_RATIO * size + UNPACKED_MARGIN
+        self._rooms: dict[bytes, int] = {}
+        self._room = 0
+
+    def add(self, data: bytes) -> None:
+        """Count the records of a chunk. **Raises:** `hapjax.InputError` before they take far more than the file's size."""
+        place = 0
+        while place + 9 < len(data):
+            kind, length = struct.unpack_from("<BQ", data, place)
+            if kind != _MESSAGE:
+                name = data[place : place + 1] + data[place + 9 : place + 11]  # its kind and number
+                room = _OBJECT + length * (1 if kind == _SCHEMA else _ENTRIES)
+                self._room += max(room - self._rooms.get(name, 0), 0)
+                self._rooms[name] = max(room, self._rooms.get(name, 0))
+            if self._room > self._most:
+                problem = f"expected schemas and channels that take at most {self._most} bytes, found more"
+                raise InputError(f"{self._path}: {problem}")
+            place += 9 + length
 
 
 def decompressed(chunk) -> bytes:

@@ -1,6 +1,7 @@
 """Recordings as Parquet: see `columns`. Nulls are samples not taken."""
 
 import mmap
+import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -73,6 +74,7 @@ def _table(path: Path, parquet, source) -> tuple[list[str], Callable[[str], tupl
     if size == 0:
         raise InputError(f"{path}: expected a Parquet file, found an empty one")
     try:
+        _check_end(path, source, size)
         file = parquet.ParquetFile(source)
         schema, about = file.schema_arrow, file.metadata
         _check_columns(path, schema)
@@ -82,6 +84,15 @@ def _table(path: Path, parquet, source) -> tuple[list[str], Callable[[str], tupl
         raise
     except Exception as error:  # pyarrow raises a dozen kinds for a damaged file
         raise InputError(f"{path}: {_DAMAGED}") from error
+
+
+def _check_end(path: Path, source, size: int) -> None:
+    """Refuse a table that says far more of itself than it holds: pyarrow makes up to 200 times as many bytes of that."""
+    source.seek(-8, os.SEEK_END)
+    length, most = int.from_bytes(source.read(4), "little"), size // 32 + 2**16
+    if most < length <= size:
+        problem = f"expected at most {most} bytes at its end that describe columns and groups of rows, found {length}"
+        raise InputError(f"{path}: {problem}; save it in fewer groups")
 
 
 def _unpacked(source, about) -> int:

@@ -6,7 +6,7 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..extras import need
 from ..files import replacing
 from .content import CHUNK_RATIO, check_unpacked
-from .mcap_records import DAMAGE, decompressed
+from .mcap_records import DAMAGE, Described, decompressed
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9  # bytes before a record's own: its kind and its length
@@ -78,6 +78,7 @@ class _Copy:
         self._schemas, self._known = _described(data)
         self._channels: dict[int, tuple[int, str]] = {}  # the new file's number of each, and its topic
         self._placed: dict[int, int] = {0: 0}  # the new file's number of each schema
+        self._told = Described(path, len(data))
         self._unknown = 0
         self._started = False
         self.found, self.other = Recovery(), 0
@@ -137,18 +138,16 @@ class _Copy:
             reason = str(error) or type(error).__name__
             self.found.lost.append(f"{end - place} bytes at {place}: {reason[:100]}")
 
-    def _read(self, data: bytes) -> list[Any]:
-        """The records of a part of a file: all of them, or at a damaged one an exception."""
+    def _read(self, data: bytes) -> Iterator[Any]:
+        """The records of a part of a file, up to a damaged one, and there an exception."""
         readers, errors = need("mcap.stream_reader", "recording"), need("mcap.exceptions", "recording")
-        stream, found = io.BytesIO(data), []
+        stream = io.BytesIO(data)
         reader = readers.StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=len(data))
         try:
-            for record in reader.records:
-                found.append(record)
+            yield from reader.records
         except errors.EndOfFile:
             if stream.tell() != len(data):
                 raise
-        return found
 
     def _write(self, record: Any) -> None:
         kinds, writer = self._records, self._writer
@@ -180,6 +179,7 @@ class _Copy:
             raise ValueError("a chunk of another length than it says")
         if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
             raise ValueError("a chunk with a wrong checksum")
+        self._told.add(data)
         for record in self._read(data):
             self._write(record)
 
