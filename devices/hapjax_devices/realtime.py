@@ -33,11 +33,11 @@ class Clock(Protocol):
 class MonotonicClock:
     """The computer's monotonic clock; waits by sleeping to shortly before the deadline, then spinning.
 
-    **Arguments:** `rehearsal`, done after a sleep in place of some of the spinning, where half of that time is left still.
+    **Arguments:** `rehearsal`, done after a sleep in place of some of the spinning, where the `needs` ns for it are left.
     """
 
-    def __init__(self, rehearsal: Callable[[], object] = lambda: None):
-        self._sleep, self._rehearsal = _absolute_sleep(), rehearsal
+    def __init__(self, rehearsal: Callable[[], object] = lambda: None, needs: int = 0):
+        self._sleep, self._rehearsal, self._needs = _absolute_sleep(), rehearsal, needs
         self.now = time.monotonic_ns
 
     def wait(self, deadline: int) -> None:
@@ -47,7 +47,7 @@ class MonotonicClock:
             # Never spun through: Linux takes the processor from one of real-time priority that works or spins for over
             # 95 % of a second, for the rest of it, and that is 200 ticks at 4 kHz.
             self._sleep(deadline - min(SPIN_NS, left // 2))
-            if deadline - time.monotonic_ns() > SPIN_NS // 2:
+            if deadline - time.monotonic_ns() > self._needs:
                 self._rehearsal()
         while time.monotonic_ns() < deadline:
             pass

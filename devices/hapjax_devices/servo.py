@@ -20,7 +20,7 @@ from .ending import Ending
 from .event import Diary, Event
 from .fingers import DeviceFault, Fingers
 from .passivity import Passivity, PassivityControl
-from .realtime import SPIN_NS, MonotonicClock, Pacer, uncollected, undisturbed
+from .realtime import MonotonicClock, Pacer, uncollected, undisturbed
 from .safety import Counts, Limits, Safety
 from .sensor import ForceSensor, PoseTracker
 
@@ -170,13 +170,13 @@ def run(
             last.callback(_tell_all, diary, bus)
             inbox = stack.enter_context(Inbox(about, scene, bus)) if live else None
             bus.wait_for(broadcast.readers, broadcast.patience)
-        brief = _warmed_up(packed, [x.astype(packed.dtype) for x in (hip, *angles)]) * _COLD < SPIN_NS // 2
+        cold = _COLD * _warmed_up(packed, [x.astype(packed.dtype) for x in (hip, *angles)])
         stack.enter_context(uncollected())
         refused = stack.enter_context(undisturbed() if realtime else nullcontext([]))
         stack.enter_context(fingers.let_go())
         check = stack.enter_context(ending.between())
         watch = _Watch(rate if realtime else None, overrun, fingers, safety, diary, check)
-        _loop(packed, fingers, hip, gimbals, watch, brief, control, log, bus, inbox, stopped)
+        _loop(packed, fingers, hip, gimbals, watch, cold, control, log, bus, inbox, stopped)
     diary.end()
     recording = log.recording()
     lateness_us, compute_us, step_us = log.times()
@@ -213,7 +213,7 @@ def _loop(
     first: Float[np.ndarray, "F 3"],
     gimbals,
     watch: "_Watch",
-    brief: bool,
+    cold: int,
     control: PassivityControl | None,
     log: "_Log",
     bus: TickPublisher | None,
@@ -235,7 +235,7 @@ def _loop(
         # While the loop sleeps, others fill the processor's caches: without this a step takes more than twice as long.
         packed.force(packed.call(memory, *inputs))
 
-    watch.start(rehearsal if brief else lambda: None)
+    watch.start(rehearsal, cold)
     for tick in count() if log.ticks is None else range(log.ticks):
         late, began = watch.wait(tick)
         if tick:
@@ -302,10 +302,10 @@ class _Watch:
         self.safety, self.diary = safety, diary
         self.overrun = self.lost = 0
 
-    def start(self, rehearsal: Callable[[], object]) -> None:
-        """The first deadline is one period from now; `rehearsal` as for `MonotonicClock`."""
+    def start(self, rehearsal: Callable[[], object], needs: int) -> None:
+        """The first deadline is one period from now; `rehearsal` and what it `needs` (ns) as for `MonotonicClock`."""
         if self._rate is not None:
-            self._pacer = Pacer(round(1e9 / self._rate), MonotonicClock(rehearsal))
+            self._pacer = Pacer(round(1e9 / self._rate), MonotonicClock(rehearsal, needs))
 
     @property
     def missed(self) -> int:
