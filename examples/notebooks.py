@@ -36,9 +36,9 @@ def executed(path: Path) -> NotebookNode:
         client = NotebookClient(
             notebook, timeout=600, extra_arguments=_KERNEL, resources={"metadata": {"path": str(FOLDER)}}
         )
-        # As wide as a page shows; and its debugger has nothing to say.
-        wide = {"JUPYTER_COLUMNS": "78", "PYDEVD_DISABLE_FILE_VALIDATION": "1"}
-        client.execute(env=os.environ | wide)
+        # As wide as a page shows; its debugger has nothing to say, nor XLA of a compiler that takes long on a busy machine.
+        told = {"JUPYTER_COLUMNS": "78", "PYDEVD_DISABLE_FILE_VALIDATION": "1", "TF_CPP_MIN_LOG_LEVEL": "3"}
+        client.execute(env=os.environ | told)
         _KEPT.mkdir(parents=True, exist_ok=True)
         for old in _KEPT.glob(f"{path.stem}-*.ipynb"):
             old.unlink()
