@@ -132,7 +132,7 @@ class Fingers:
 
     def _tell(self, finger: int, sentence: str) -> None:
         """Say what is wrong with a device, once while it is down: each attempt to get it back finds it anew."""
-        gist = re.sub(r"\d+", "", sentence)  # what it counts or reads may be another thing each time
+        gist = re.sub(r"-?\d+", "", sentence)  # what it counts or reads may be another thing each time
         if gist not in self._told[finger]:
             self._told[finger].add(gist)
             self._diary.say("fault", sentence, finger)

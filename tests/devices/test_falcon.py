@@ -18,7 +18,7 @@ from hapjax_devices import (
     RecoverableDevice,
     attached_falcons,
 )
-from hapjax_devices.falcon import let_go
+from hapjax_devices.falcon import emulator, let_go
 from hapjax_devices.falcon.emulator import EmulatedFalcon, EmulatedUsb, Fault
 from hapjax_devices.falcon.processor import synthetic_firmware
 from hapjax_devices.falcon.stance import counts_at
@@ -202,6 +202,23 @@ def test_homing_time_and_placement_out_of_range():
         Placement((0.0, np.nan, 0.0))
     with pytest.raises(InputError, match=r"orientation of the device is \[0.0, 0.0, 0.0, 0.0\]"):
         Placement(orientation=(0.0, 0.0, 0.0, 0.0))
+
+
+def test_a_reply_that_came_while_the_process_was_held_up_counts(monkeypatch):
+    """On a busy machine nobody may look for longer than is waited for a reply."""
+    rig, held = Rig(), []
+    monkeypatch.setattr(emulator, "_THINKS", 3_000_000)
+
+    def read(timeout):
+        came = EmulatedFalcon.read(rig.emulated, timeout)
+        if len(came) == 2:  # the chip's status alone
+            held.append(rig.clock.time)
+            rig.clock.time += 200_000_000
+        return came
+
+    monkeypatch.setattr(rig.emulated, "read", read)
+    rig.falcon.open()
+    assert held and rig.falcon.state == "running"
 
 
 def test_nothing_works_before_open_and_after_close(rig):

@@ -139,7 +139,7 @@ def test_what_is_in_a_devices_way_is_told_once_until_it_is_back():
             self.fault = (
                 None
                 if len(self.asked) % 5 == 4
-                else ["no power", "it counts 17", "it counts 4"][len(self.asked) % 3]
+                else ["no power", "it counts 17", "it counts -4"][len(self.asked) % 3]
             )
             self.asked.append(True)
             return self.fault is None
@@ -154,7 +154,7 @@ def test_what_is_in_a_devices_way_is_told_once_until_it_is_back():
     back = "the device is back; its force rises"
     assert told == [
         *("the cable is out", "no power", "it counts 17", back),
-        *("the cable is out", "it counts 4", "no power", back),
+        *("the cable is out", "it counts -4", "no power", back),
     ]
 
 

@@ -303,6 +303,18 @@ def test_figures_say_what_was_felt():
     figures.add(ticks[:3])
     figures.add(ticks[3:])
     found = figures.to_dict()
-    assert (found["ticks"], found["missed"]) == (4, 2)
+    assert (found["ticks"], found["unseen"], found["missed"]) == (4, 0, 2)
     assert found["force"] == [{"max": 0.0, "mean": 0.0}, {"max": 15.0, "mean": 7.5}]
     assert "15.00 N" in figures.line(1000.0) and "missed ticks: 2" in figures.line(1000.0)
+
+
+def test_ticks_that_were_not_seen_are_counted_as_such():
+    ticks = np.zeros(10, about("test", fingers=2).tick)
+    ticks["tick"], ticks["force"] = np.arange(10), 1.0
+    figures = Figures(2)
+    assert (figures.ticks, figures.unseen) == (0, 0)
+    figures.add(ticks[:4])
+    figures.add(ticks[7:])
+    found = figures.to_dict()
+    assert (found["ticks"], found["unseen"]) == (10, 3)
+    assert found["force"][0]["mean"] == pytest.approx(np.sqrt(3))

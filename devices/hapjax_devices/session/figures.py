@@ -34,12 +34,11 @@ class Figures:
 
     **Arguments:** `fingers`, how many there are.
 
-    **Attributes:** `ticks`, how many came; `newest`, the last of them, `None` before the first; `lateness_us` and
-    `compute_us`, as a `Spread`.
+    **Attributes:** `newest`, the last tick that came, `None` before the first; `lateness_us`, `compute_us`, each a `Spread`.
     """
 
     def __init__(self, fingers: int):
-        self.ticks: int = 0
+        self._seen = 0
         self.newest: Any = None
         self.lateness_us, self.compute_us = Spread(), Spread()
         self._largest, self._sum = np.zeros(fingers), np.zeros(fingers)
@@ -48,12 +47,22 @@ class Figures:
         """Count these ticks, as a `TickReader` takes them."""
         if not len(ticks):
             return
-        self.ticks, self.newest = self.ticks + len(ticks), ticks[-1]
+        self._seen, self.newest = self._seen + len(ticks), ticks[-1]
         self.lateness_us.add(ticks["lateness_us"])
         self.compute_us.add(ticks["compute_us"])
         size = np.linalg.norm(ticks["force"], axis=2)
         self._largest = np.maximum(self._largest, size.max(axis=0))
         self._sum += size.sum(axis=0)
+
+    @property
+    def ticks(self) -> int:
+        """How many there were, as far as is known."""
+        return 0 if self.newest is None else int(self.newest["tick"]) + 1
+
+    @property
+    def unseen(self) -> int:
+        """How many of these did not come: who counts was so late that newer ones pushed them out."""
+        return self.ticks - self._seen
 
     def line(self, rate: float) -> str:
         """What the fingers feel now, and how the loop does."""
@@ -70,9 +79,10 @@ class Figures:
             names = self.newest.dtype.names
             counted = names[names.index("compute_us") + 1 : names.index("down")]
             counts = {name: int(self.newest[name]) for name in counted}
-        mean = self._sum / max(self.ticks, 1)
+        mean = self._sum / max(self._seen, 1)
         return {
             "ticks": self.ticks,
+            "unseen": self.unseen,
             **counts,
             "lateness_us": self.lateness_us.to_dict(),
             "compute_us": self.compute_us.to_dict(),

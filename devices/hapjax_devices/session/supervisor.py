@@ -288,6 +288,8 @@ def _summary(figures: dict[str, Any]) -> None:
         f"{figures['ticks']} ticks in {figures['seconds']:.1f} s, {figures['missed']} missed; late by "
         f"{late['p50']:.1f} us (p50), {late['p99.9']:.0f} us (p99.9), {late['max']:.0f} us (max)"
     )
+    if figures["unseen"]:
+        _say(f"{figures['unseen']} ticks are not in these figures: the command was late to see them")
     print("felt at most: " + ", ".join(f"{each['max']:.2f} N" for each in felt))
 
 
