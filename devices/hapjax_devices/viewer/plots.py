@@ -15,6 +15,7 @@ THIN = 1.5  # pixels, the thinnest curve
 # At 0, seen neither in the plot nor in its legend: uPlot leaves room above curves by how far apart what it plots is, and
 # none where forces are steady.
 NOTHING = {"label": "", "stroke": "transparent", "class": "mantine-hidden-from-xs"}
+APART = 0.01  # of the longer axis of the cone, by which dots are apart: to draw one takes long, where no GPU does it
 NOWHERE = -1.0  # N, below the plot: what is not a number takes the axes with it
 
 
@@ -71,11 +72,13 @@ class Plots:
 
 def cone(window: Moments) -> tuple[Float[np.ndarray, "N"], ...]:
     """Normal forces in rising order (N), of each finger its friction there, `NOWHERE` where a sample is of another finger,
-    and of each the limit there, mu times the normal force, by its newest touch, `NOWHERE` where there was none."""
+    and of each the limit there, mu times the normal force, by its newest touch, `NOWHERE` where there was none. Of samples
+    whose dots would hide each other there is one."""
     normal = window.of_deepest(window.normal_force)
     friction = window.of_deepest(np.linalg.norm(window.friction, axis=-1))
     limit = window.of_deepest(window.limit)
     fingers = normal.shape[1]
+    most = 1.1 * max(0.5, normal.max(initial=0.0))
     limits = np.full((fingers, 1), np.nan)
     samples = [(np.zeros(0), np.zeros(0))] * fingers
     for finger in range(fingers):
@@ -83,8 +86,9 @@ def cone(window: Moments) -> tuple[Float[np.ndarray, "N"], ...]:
         if pressed.any():
             newest = np.flatnonzero(pressed)[-1]
             limits[finger] = limit[newest, finger] / normal[newest, finger]
-        samples[finger] = normal[pressed, finger], friction[pressed, finger]
-    most = 1.1 * max([0.5, *(x.max(initial=0.0) for x, _ in samples)])
+        found = np.stack([normal[pressed, finger], friction[pressed, finger]])
+        seen = np.unique(np.round(found / (APART * most)), axis=1, return_index=True)[1]
+        samples[finger] = found[0, seen], found[1, seen]
     x = np.concatenate([[0.0], *(x for x, _ in samples), [most]])
     order, ends = np.argsort(x, kind="stable"), np.cumsum([1, *(len(x) for x, _ in samples)])
     dots = np.full((fingers, len(x)), NOWHERE)
