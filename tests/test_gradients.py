@@ -242,7 +242,7 @@ def differences(f, size):
     A long step runs over a touch or a break-away, where f has a kink; a short one drowns in rounding.
     """
     batch = compiled(jax.vmap(f))
-    for step in (6.4e-4, 1.6e-4, 4e-5, 1e-5, 2.5e-6):
+    for step in (2.5e-6, 1e-5, 4e-5, 1.6e-4, 6.4e-4):
         offsets = step * np.array([-2, -1, 1, 2])[:, None, None] * np.eye(size)
         values = np.asarray(batch(jnp.asarray(offsets.reshape(-1, size)))).reshape(4, size, -1)
         yield np.tensordot(np.array([1, -8, 8, -1]) / (12 * step), values, axes=1)
@@ -262,9 +262,12 @@ def test_forward_reverse_and_differences_agree(case):
         path for path, row in zip(paths, forward, strict=True) if np.abs(row).max() > 1e-12 * largest.max()
     }
     assert set(paths) - at_work == idle
-    off = np.min([np.abs(forward - numeric) for numeric in differences(f, size)], axis=0)
-    off = np.max(off / (np.abs(forward) + 1e-4 * largest), axis=1)
-    assert off.max() < 1e-6, paths[int(np.argmax(off))]
+    off = np.full_like(forward, np.inf)
+    for numeric in differences(f, size):  # what one step shows needs no other
+        off = np.minimum(off, np.abs(forward - numeric) / (np.abs(forward) + 1e-4 * largest))
+        if off.max() < 1e-6:
+            break
+    assert off.max() < 1e-6, paths[int(np.argmax(off.max(axis=1)))]
 
 
 # Singular points ------------------------------------------------------------------------------------------

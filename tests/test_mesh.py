@@ -35,15 +35,18 @@ def closest(shape, queries):
     return jax.vmap(shape.closest)(queries)  # in batches, what is left over would be compiled a second time
 
 
-@well_compiled
 def followed(shape, ways):
-    """The surface points at the end of each way (n, points, 3) m, and those of a follow from its point before last."""
+    """The surface points (n, 2) that hold a point on ways (n, 3, 3) m which begin outside, all in NumPy."""
+    # In batches of one size, so that one program follows however many.
+    batches = np.resize(ways, (-(-len(ways) // 1000), 1000, 3, 3))
+    held = [_each_followed(shape, jnp.asarray(batch)) for batch in batches]
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(ways)], *held)
 
-    def one(way):
-        track = shape.start(way[0]) if way.shape[0] == 2 else _outside(way[0])
-        return jax.lax.scan(lambda carry, point: shape.follow(carry, point), track, way[1:])[1]
 
-    return jax.lax.map(one, ways, batch_size=1000)
+@well_compiled
+@functools.partial(jax.vmap, in_axes=(None, 0))
+def _each_followed(shape, way):
+    return jax.lax.scan(lambda carry, point: shape.follow(carry, point), _outside(way[0]), way[1:])[1]
 
 
 def _outside(point):
@@ -195,9 +198,7 @@ def approaches(vertices, triangles, count, seed):
 def test_no_approach_falls_through(name, number, count):
     vertices, triangles = FORMS[name]
     ways = approaches(vertices, triangles, count, 2).astype(number)
-    ways = ways[: len(ways) // 1000 * 1000]  # a last batch of another size would be a second program
-    held = followed(as_type(mesh_of(name), number), jnp.asarray(ways))
-    depth = np.asarray(held.depth[:, -1])
+    depth = followed(as_type(mesh_of(name), number), ways).depth[:, -1]
     end = ways[:, -1].astype(float)
     # Nearer than rounding there is no inside and outside.
     deep = distance(vertices, triangles, end) > 8 * np.finfo(number).eps * 0.05
@@ -281,8 +282,8 @@ def test_a_concave_corner_holds_by_up_to_three_planes():
     local = 0.02 + rng.uniform(-5e-3, 5e-3, (300, 3))
     local = local[(local < 0.02).any(axis=1)]
     start = np.broadcast_to(TILT @ [0.03, 0.03, 0.03], local.shape)
-    held = followed(mesh, jnp.asarray(np.stack([start, start, local @ TILT.T], axis=1)))
-    held = jax.tree.map(lambda leaf: np.asarray(leaf[:, -1]), held)
+    held = followed(mesh, np.stack([start, start, local @ TILT.T], axis=1))
+    held = jax.tree.map(lambda leaf: leaf[:, -1], held)
     counts = np.sum(local < 0.02, axis=1)
     assert set(counts) == {1, 2, 3}
     for i, point in enumerate(local):
