@@ -118,18 +118,19 @@ def check_apart(
 
     `None` stands for none. **Raises:** `hapjax.InputError`.
     """
-    taken = {_place(path) for path in reads if path is not None}
+    taken = {place_of(path) for path in reads if path is not None}
     for path in writes:
         if path is None:
             continue
-        if _place(path) in taken:
+        if place_of(path) in taken:
             raise InputError(
                 f"{path}: would take the place of another file of this command; allowed: a new name"
             )
-        taken.add(_place(path))
+        taken.add(place_of(path))
 
 
-def _place(path: str | os.PathLike[str]) -> str:
+def place_of(path: str | os.PathLike[str]) -> str:
+    """Where a path leads to, whatever its links; itself where it is no name of a file."""
     with suppress(OSError, ValueError):
         return os.path.realpath(path)
     return os.fspath(path)  # no name of a file, as who reads or writes it will say

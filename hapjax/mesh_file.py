@@ -88,7 +88,7 @@ def _within_folder(name: Any, folder: Path | None) -> Path:
     if folder is None:
         raise InputError(f"file is {name!r}, but the scene is not from a file; {allowed}")
     path = folder / name
-    inside = path.resolve().is_relative_to(folder.resolve())
+    inside = Path(os.path.realpath(path)).is_relative_to(folder.resolve())  # also of a link to itself
     if Path(name).is_absolute() or ".." in Path(name).parts or not inside:
         raise InputError(f"file is {name!r}; {allowed}")
     return path

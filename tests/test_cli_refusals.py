@@ -224,6 +224,10 @@ ARGUMENTS = [
         ["both.npz", "twice"],
     ),
     *(
+        (["fit", file, "--scene", "{scene}", "--free", "torsion.critical_area"], [said])
+        for file, said in (("{folder}/loop.npz", "cannot be read"), ("{folder}/a\0b.npz", "null"))
+    ),
+    *(
         (
             ["fit", "{both}", "--scene", "{scene}", "--free", "torsion.critical_area", "--json", file],
             [file, "another file of this command"],
@@ -309,6 +313,7 @@ def places(tmp_path_factory):
     damaged = bytearray((folder / "hip.npz").read_bytes())
     damaged[damaged.index(b"PK\1\2") + 6] = 99  # the version of ZIP that the directory asks for
     (folder / "damaged.npz").write_bytes(damaged)
+    (folder / "loop.npz").symlink_to("loop.npz")
     names = ("hip", "force", "both", "single", "long", "damaged")
     return {"folder": str(folder), "scene": str(folder / "scene.toml")} | {
         n: str(folder / f"{n}.npz") for n in names

@@ -197,6 +197,13 @@ def test_faulty_scene_files_are_refused(old, new, fault, folder):
         hapjax.load_scene(folder / "scene.toml")
 
 
+def test_a_link_to_itself_is_refused(folder):
+    (folder / "parts" / "box.stl").unlink()
+    (folder / "parts" / "box.stl").symlink_to("box.stl")
+    with pytest.raises(hapjax.InputError, match=r"object.part.file .*box.stl: cannot be read"):
+        hapjax.load_scene(folder / "scene.toml")
+
+
 def test_a_link_out_of_the_folder_is_refused(folder, tmp_path_factory):
     outside = tmp_path_factory.mktemp("outside") / "box.stl"
     BOX.export(outside)

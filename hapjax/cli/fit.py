@@ -9,7 +9,7 @@ from tyro.conf import FlagCreatePairsOff, Positional
 
 from ..errors import InputError
 from ..extras import need
-from ..files import check_apart, check_makeable, check_writable
+from ..files import check_apart, check_makeable, check_writable, place_of
 from ..processes import agreed, together
 from ..progress import following
 from ..recording import load_recording
@@ -141,11 +141,11 @@ def fit(
 
 def _check_once(recordings: tuple[Path, ...]) -> None:
     """Refuse a recording that is named twice: what it says would count twice. **Raises:** `InputError`."""
-    seen: set[Path] = set()
+    seen: set[str] = set()
     for path in recordings:
-        if path.resolve() in seen:
+        if place_of(path) in seen:
             raise InputError(f"{path}: is named twice; allowed: each recording once")
-        seen.add(path.resolve())
+        seen.add(place_of(path))
 
 
 def _asked(
