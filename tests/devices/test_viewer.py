@@ -3,6 +3,7 @@
 import io
 import json
 import threading
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -368,3 +369,21 @@ def test_pages_of_others_are_refused():
             assert page.recv(timeout=30)
         with pytest.raises(InvalidStatus, match="403"), connect(**options | other):
             pass
+
+
+def test_a_slow_page_gets_the_newest_and_not_all_that_was():
+    from websockets.sync.client import connect
+
+    with serving("test", "127.0.0.1", 0, (np.ones(3), np.zeros(3))) as server:
+        drawn = server.scene.add_point_cloud("/a", np.zeros((1000, 3)), (0, 0, 0), precision="float32")
+        versions, uri = [f"viser-v{viser.__version__}"], f"ws://127.0.0.1:{server.get_port()}"
+        with connect(uri, subprotocols=versions, proxy=None, max_queue=1) as page:  # type: ignore[arg-type]
+            assert page.recv(timeout=30)
+            for now in range(100):
+                drawn.points = np.full((1000, 3), now, np.float32)
+                server.flush()
+                time.sleep(0.01)
+            taken, newest = 0, np.full(3000, 99, np.float32).tobytes()
+            while newest not in page.recv(timeout=30, decode=False):
+                taken += 1
+    assert taken < 20  # of a hundred

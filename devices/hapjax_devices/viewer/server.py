@@ -4,7 +4,8 @@ import http
 import io
 import ipaddress
 import socket
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Awaitable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from typing import Any
 from unittest.mock import patch
@@ -17,6 +18,7 @@ import websockets.asyncio.server as sockets
 from .process import check
 
 FIELD_OF_VIEW = 0.75  # rad
+_AHEAD = 2  # batches that may be under way to a page
 
 
 @contextmanager
@@ -49,7 +51,7 @@ def serving(title: str, host: str, port: int, camera: tuple[np.ndarray, np.ndarr
 
 @contextmanager
 def _guarded(host: str) -> Iterator[None]:
-    """A server that starts in the block answers its own pages only, see `is_own`.
+    """A server that starts in the block answers its own pages only, see `is_own`, each at the pace of the page.
 
     viser asks no page where it comes from, and a browser lets any page of the web open a websocket to 127.0.0.1.
     """
@@ -62,13 +64,28 @@ def _guarded(host: str) -> Iterator[None]:
             return connection.respond(http.HTTPStatus.FORBIDDEN, "This server answers its own pages only.\n")
 
         guarded.append(True)
-        return serve(handler, *address, process_request=refuse, **options)
+        return serve(handler, *address, process_request=refuse, create_connection=_Paced, **options)
 
     with patch.object(sockets, "serve", serve_own):
         yield
     assert guarded, (
         f"viser {viser.__version__} listens in a way of its own, where pages of others are not refused"
     )
+
+
+class _Paced(sockets.ServerConnection):
+    """A connection on which nothing is sent before all but the newest batches have arrived: where a page is slow, or far
+    away, what waits in the network would be seen seconds late; viser sends the newest alone of what waits here."""
+
+    def __init__(self, *arguments: Any, **options: Any):
+        super().__init__(*arguments, **options)
+        self._under_way: deque[Awaitable[float]] = deque()
+
+    async def send(self, message: Any, text: bool | None = None) -> None:
+        while len(self._under_way) >= _AHEAD:
+            await self._under_way.popleft()
+        await super().send(message, text)
+        self._under_way.append(await self.ping())
 
 
 def is_own(origin: str | None, asked: str | None, host: str) -> bool:
