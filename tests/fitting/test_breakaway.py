@@ -61,11 +61,11 @@ def test_static_mu_is_as_near_as_can_be_and_its_intervals_hold_it():
     assert [p["identified"] for p in row["parameters"]] == [draws] * 3
     assert all(abs(p["ratio"] - 1) < 0.05 + allowed for p in row["parameters"])
     assert min(p["cover"] for p in row["parameters"]) > 0.93 - 3 * np.sqrt(0.95 * 0.05 / draws)
-    for seed in HINDERED:
-        result, at_truth = fitted(seed)
+    fits = [fitted(seed) for seed in HINDERED]
+    for result, at_truth in fits:
         assert result.loss <= at_truth and result.converged
     # The errors of the other numbers move the jumps of this recording by as much as these lie apart.
-    result, _ = fitted(HINDERED[0])
+    result, _ = fits[0]
     found, other = result.parameters[CASE.free[0]], by_quadrature(result)
     width = float(np.diff(other.central(0.95))[0])
     np.testing.assert_allclose(found.interval95, other.central(0.95), atol=0.1 * width)
