@@ -238,9 +238,10 @@ class _Watch:
         code, said = recorder.end(_END)
         if code != 0 and self._figures.ticks:
             self._failed = True
-            _say(
-                f"{self._record}: the recorder has ended ({said.removeprefix('hapjax: ') or f'exit code {code}'})"
+            how = (
+                said.removeprefix("hapjax: ") or f"exit code {code}; hapjax recover makes whole what there is"
             )
+            _say(f"{self._record}: the recorder has ended ({how})")
 
 
 @contextmanager
