@@ -2,6 +2,7 @@
 
 import json
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import pytest
 import hapjax
 from hapjax import progress
 from hapjax.benchmark import scene
+from hapjax.cli import main
 from hapjax.files import write_json
 from hapjax.progress import each_tick, following
 from helpers import followed
@@ -84,6 +86,23 @@ def test_a_step_of_each_scene_is_told(monkeypatch):
     assert [part["without"] for part in parts] == ["everything", "object.table.surface"]
     assert parts[0]["equations"] > parts[1]["equations"] and all(part["step_us"] > 0 for part in parts)
     assert bars == [{"total": 12.0, "told": 12.0, "apart": True}]
+
+
+def test_a_command_says_what_it_is_at_before_its_work_and_in_it(tmp_path, monkeypatch):
+    stages, table, file = [], str(tmp_path / "table.toml"), str(tmp_path / "a.mcap")
+
+    @contextmanager
+    def at(total, *, doing="compiling"):
+        stages.append(doing)
+        yield lambda *_: None
+
+    monkeypatch.setattr("hapjax.cli.benchmark.following", at)
+    monkeypatch.setattr("hapjax.cli.recover.following", at)
+    monkeypatch.setattr(scene, "report", lambda *_: None)
+    hapjax.save_scene(hapjax.Scene({"table": hapjax.Object(hapjax.Plane())}), table)
+    hapjax.Recording(hip=np.zeros((2, 1, 3)), hip_t=np.arange(2.0)).save(file)
+    assert main(["benchmark", "scene", "--scene", table]) == main(["recover", file]) == 0
+    assert stages == ["loading the library", "reading", "recovering"]
 
 
 def test_a_loop_tells_of_every_tenth_of_a_second():

@@ -9,6 +9,7 @@ from tyro.conf import FlagCreatePairsOff, Positional
 
 from ..extras import need
 from ..files import check_apart, check_writable
+from ..progress import following
 from ..scene_file import load_scene
 
 
@@ -57,10 +58,11 @@ def benchmark(
         json: File for the figures; - is standard output.
     """
     options = locals()
-    from ..at_once import compute_at_once
-    from ..benchmark import _options, batch, gradient, latency, stability
-    from ..benchmark import error as errors
-    from ..benchmark import scene as parts
+    with following(None, doing="loading the library"):
+        from ..at_once import compute_at_once
+        from ..benchmark import _options, batch, gradient, latency, stability
+        from ..benchmark import error as errors
+        from ..benchmark import scene as parts
 
     defaults = {name: each.default for name, each in inspect.signature(benchmark).parameters.items()}
     given = {name: value for name, value in options.items() if value != defaults[name]}
@@ -70,7 +72,8 @@ def benchmark(
         check_writable(json)
     if kind == "latency":
         compute_at_once()
-    with jax.enable_x64(kind == "error" or jax.config.read("jax_enable_x64")):
+    precise = kind == "error" or jax.config.read("jax_enable_x64")
+    with following(None, doing="reading"), jax.enable_x64(precise):
         loaded = None if scene is None else load_scene(scene)
     if kind == "latency":
         latency.report(loaded, fingers, seconds, json)

@@ -25,7 +25,7 @@ def recover(recording: Positional[Path], *, out: Path | None = None, json: Path 
     check_apart([json], [recording, target])
     if json is not None:
         check_writable(json)
-    with following(1.0) as advance:
+    with following(1.0, doing="recovering") as advance:
         found = recovering(recording, target, advance)
     for sentence in found.lost:
         print(f"hapjax: {recording}: lost: {sentence}", file=sys.stderr)
