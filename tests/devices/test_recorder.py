@@ -170,6 +170,20 @@ def test_a_full_disk_ends_the_recording_and_leaves_it_whole(tmp_path, monkeypatc
     assert [finding.kind for finding in recording.findings] == ["cut short"]
 
 
+def test_a_disk_that_is_full_from_the_start_is_left_without_a_file(tmp_path, monkeypatch):
+    class System:
+        def __getattr__(self, name):
+            return getattr(os, name)
+
+        def write(self, file, data):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(growing, "os", System())
+    with pytest.raises(InputError, match=r"a\.mcap: cannot be made: No space left on device"):
+        growing.GrowingFile(tmp_path / "a.mcap", about("full"), {})
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_scene_that_is_in_no_file_is_said_to_be_missing(tmp_path):
     why = "object.stone.file is missing"
     told = growing.GrowingFile(tmp_path / "a.mcap", replace(about("loose"), scene="", unsaid=why), {})

@@ -24,7 +24,7 @@ class GrowingFile:
 
     **Arguments:** `path` of the new file; `about` the run; `schemas`, name and JSON schema of each topic.
 
-    **Raises:** `InputError` where there is a file already, or none can be made; `OSError` where it cannot be written.
+    **Raises:** `InputError` where there is a file already, or none can be made, for want of room too.
     """
 
     def __init__(self, path: Path, about: About, schemas: dict[str, tuple[str, bytes]]):
@@ -45,7 +45,11 @@ class GrowingFile:
             place = self._writer.register_schema(name, "jsonschema", schema)
             self._ids[topic] = self._writer.register_channel(topic, "json", place)
         self._sequence = 0
-        self.save(())
+        try:
+            self.save(())
+        except OSError as error:
+            path.unlink(missing_ok=True)  # there is nothing in it
+            raise InputError(f"{path}: cannot be made: {error.strerror or error}") from None
 
     def save(self, messages: Iterable[Message]) -> None:
         """Write a batch of messages. **Raises:** `OSError`; the batch is then left out, and the file closed."""
