@@ -249,6 +249,8 @@ def test_anyone_grasps_the_cube(browser, folder):
             page.keep("grasp.png")
             assert until(reader, lambda tick: True)["memory"][places[2]] > 0.04  # it is held
         assert page.failed == []
+        command.end()
+        page.page.get_by_text("The run has ended.").wait_for()
         page.page.close()
     finally:
         assert command.end() == 0

@@ -23,6 +23,7 @@ from .stage import Stage, camera
 
 FRAME = 1 / 60  # s
 _TOLD = 1.0  # s between two reports of how the run does
+_LAST = 0.2  # s in which the last word reaches the pages
 _EVENTS = 5  # that are shown
 _COUNTED = ("missed", "ramped")  # of which there may be many
 
@@ -91,6 +92,8 @@ def watch(
         page = Page(stack, reader, scene, host, port, ticks)
         for _ in frames(lambda: over() or not reader.is_alive()):
             page.take(reader.take())
+        if not reader.is_alive():
+            page.end()
 
 
 def frames(over: Callable[[], bool]) -> Iterator[float]:
@@ -168,6 +171,13 @@ class Page:
         self._server.flush()  # viser would wait for a frame, and for what sending takes, before each
         if self._sliders is not None:
             self._sliders.turn(self._decoder.live(ticks[-1]))
+
+    def end(self) -> None:
+        """Say that nothing more comes."""
+        if self._server.get_clients():
+            self._status.content = f"The run has ended.\n\n{self._status.content}"
+            self._server.flush()
+            time.sleep(_LAST)
 
     def _words(self, tick: Any) -> str:
         """How the run does, and what happened of late."""
