@@ -3,7 +3,7 @@
 import json
 import struct
 from collections.abc import Iterator
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -18,32 +18,44 @@ _JSON = 2**18  # bytes, and a quarter of the file: as objects it takes up to 40 
 _SPARE, _LEAST = 2**18, 256
 
 
-def triangles_of(data: bytes) -> tuple[np.ndarray, np.ndarray]:
+def triangles_of(file: IO[bytes], most: int) -> tuple[np.ndarray, np.ndarray]:
     """The vertices (V, 3) and the triangles (T, 3) of all parts of the scene, each at its places.
 
     **Raises:** `InputError` for parts that lie in other files, are packed by an extension or are not within the file, and
-    where those in several places take far more than its size; another `ValueError`, `LookupError`, `TypeError`,
-    `AttributeError` or `RecursionError` for what is no GLB, and a description of another form.
+    where those in several places take far more than its size or have more than `most` triangles; another
+    `ValueError`, `LookupError`, `TypeError`, `AttributeError` or `RecursionError` for what is no GLB, and a description of
+    another form.
     """
+    data = file.read()
     about, binary = _parts(data)
-    room, most = 0, len(data) + _SPARE
+    room, allowed, met = 0, len(data) + _SPARE, 0
     points, corners, count = [np.zeros((0, 3), np.float32)], [np.zeros((0, 3), np.int32)], 0
     for mesh, place in _placed(about):
         for primitive in _item(about, "meshes", mesh)["primitives"]:
             numbers = _numbers(about, binary, primitive["attributes"]["POSITION"], "VEC3")
             given = primitive.get("indices")
-            order = np.arange(len(numbers)) if given is None else _numbers(about, binary, given, "SCALAR")
+            order = (
+                np.arange(len(numbers), dtype=np.int32)
+                if given is None
+                else _numbers(about, binary, given, "SCALAR")
+            )
             room += max(numbers.nbytes + order.nbytes, _LEAST)
-            if room > most:
+            if room > allowed:
                 raise InputError(
-                    f"has parts that take {room} bytes or more in all their places; allowed: at most {most}"
+                    f"has parts that take {room} bytes or more in all their places; allowed: at most {allowed}"
                 )
-            faces = _faces(primitive.get("mode", _TRIANGLES), order.reshape(-1))
-            if faces.size and not 0 <= faces.min() <= faces.max() < len(numbers):
-                raise InputError(f"has a triangle of vertex {faces.max()}; allowed: below {len(numbers)}")
+            if order.size and not 0 <= order.min() <= order.max() < len(numbers):
+                raise InputError(f"has a triangle of vertex {order.max()}; allowed: below {len(numbers)}")
+            mode = primitive.get("mode", _TRIANGLES)
+            met += max(len(order), len(numbers)) // (3 if mode == _TRIANGLES else 1)
+            if met > most:
+                raise InputError(
+                    f"has {met} triangles or more; allowed: at most {most} in a file of its size"
+                )
+            faces = _faces(mode, order.reshape(-1).astype(np.int32)) + np.int32(count)
             points.append(numbers @ place[:3, :3].T + place[:3, 3])
             mirrored = np.linalg.det(place[:3, :3]) < 0
-            corners.append(faces[:, ::-1] + count if mirrored else faces + count)
+            corners.append(faces[:, ::-1] if mirrored else faces)
             count += len(numbers)
     return np.concatenate(points), np.concatenate(corners)
 
@@ -129,14 +141,14 @@ def _numbers(about: Any, binary: memoryview, number: int, kind: str) -> np.ndarr
 
 def _faces(mode: int, order: np.ndarray) -> np.ndarray:
     """The triangles (n, 3) of vertices in this order; none of points and lines."""
-    order, first = order.astype(np.int64), np.arange(max(len(order) - 2, 0))
+    first = np.arange(max(len(order) - 2, 0), dtype=np.int32)
     if mode == _TRIANGLES:
         return order[: len(order) // 3 * 3].reshape(-1, 3)
     if mode == _STRIP:  # each second one runs the other way around
         return order[np.stack([first, first + 1 + first % 2, first + 2 - first % 2], axis=1)]
     if mode == _FAN:
         return np.stack([order[first + 1], order[first + 2], order[0 * first]], axis=1)
-    return np.zeros((0, 3), np.int64)
+    return np.zeros((0, 3), np.int32)
 
 
 def _item(about: Any, name: str, number: int) -> Any:

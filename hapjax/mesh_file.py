@@ -3,19 +3,22 @@
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
+from . import glb, obj, ply, stl
+from ._memory import give_back
 from .errors import InputError, within
-from .extras import need
-from .glb import triangles_of
-from .shape import CONTACT_POINTS, Convex, Mesh
+from .shape import CONTACT_POINTS, Convex, Mesh, room_for
 
-_SUFFIXES = (".stl", ".obj", ".ply", ".glb")
+_READERS = {form.__name__.rpartition(".")[2]: form.triangles_of for form in (stl, obj, ply, glb)}
 _LARGEST = 512 * 2**20  # bytes; some ten million triangles
+_TIMES, _SPARE = 20, 2**25  # so many times its size, and so many bytes, a file may take in memory
+_SMALL = 2**24  # bytes that a small mesh takes, most of it to compile what finds its volume
+_LEAST = 250  # bytes that a triangle takes at least
 _APART = 1e-8  # units of the file; nearer vertices are one
-_ALLOWED = f"allowed: a file ending in {', '.join(_SUFFIXES)}"
+_ALLOWED = f"allowed: a file ending in .{', .'.join(_READERS)}"
 _FIELDS = {
     Mesh: ("file", "scale", "shaded", "contact_points"),
     Convex: ("points", "file", "scale", "contact_points"),
@@ -35,6 +38,8 @@ def load_mesh(
     """
     with within(f"{path}: "):
         vertices, triangles = _read(Path(path))
+        give_back()
+        _refuse_large(Path(path).stat().st_size, vertices, triangles)
         return Mesh(vertices, triangles, scale, shaded, str(Path(path).resolve()), contact_points)
 
 
@@ -96,9 +101,9 @@ def _within_folder(name: Any, folder: Path | None) -> Path:
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """The merged vertices and the triangles of a file."""
-    suffix = path.suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise InputError(f"has the ending {suffix!r}; {_ALLOWED}")
+    read = _READERS.get(path.suffix.lower()[1:])
+    if read is None:
+        raise InputError(f"has the ending {path.suffix.lower()!r}; {_ALLOWED}")
     try:
         size = path.stat().st_size
         if size > _LARGEST:
@@ -108,7 +113,7 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"cannot be read ({error.strerror}); {_ALLOWED}") from None
     with file:
         try:
-            vertices, triangles = triangles_of(file.read()) if suffix == ".glb" else _by_trimesh(file, suffix)
+            vertices, triangles = read(file, _allowed(size) // _LEAST)
         except InputError:
             raise
         # Whatever the file has may fail anywhere in its reader.
@@ -120,10 +125,18 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return _merged(vertices, triangles)
 
 
-def _by_trimesh(file: IO[bytes], suffix: str) -> tuple[np.ndarray, np.ndarray]:
-    scene = need("trimesh", "mesh").load_scene(file, file_type=suffix[1:], resolver=_Nothing())
-    mesh = scene.to_mesh()
-    return mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray)
+def _allowed(size: int) -> int:
+    """The bytes that a file of this size may take in memory."""
+    return _TIMES * size + _SPARE
+
+
+def _refuse_large(size: int, vertices: np.ndarray, triangles: np.ndarray) -> None:
+    room = _SMALL + room_for(vertices, triangles)
+    if room > _allowed(size):
+        raise InputError(
+            f"has {len(triangles)} triangles that would take {room} bytes in memory; "
+            f"allowed: at most {_allowed(size)}, {_TIMES} times the size of the file and {_SPARE}"
+        )
 
 
 def _merged(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -131,29 +144,17 @@ def _merged(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np
     used = np.zeros(len(vertices), bool)
     used[triangles] = True
     points = vertices[used].astype(np.float64)
-    cells = np.round(points / _APART)
-    order = np.lexsort(cells.T)
-    begins = np.append(True, (cells[order[1:]] != cells[order[:-1]]).any(axis=1))
+    cells = np.round(points.T / _APART)
+    order = np.lexsort(cells).astype(np.int32)
+    begins = np.zeros(len(order), bool)
+    begins[:1] = True
+    for cell in cells:
+        along = cell[order]
+        begins[1:] |= along[1:] != along[:-1]
+    del cells, along
     firsts = order[begins]  # the sort is stable: of those in one place the first of the file
-    rank = np.empty(len(firsts), np.int64)
+    rank = np.empty(len(firsts), np.int32)
     rank[np.argsort(firsts)] = np.arange(len(firsts))
-    numbers = np.zeros(len(vertices), np.int64)
+    numbers = np.zeros(len(vertices), np.int32)
     numbers[np.flatnonzero(used)[order]] = rank[np.cumsum(begins) - 1]
     return points[np.sort(firsts)], numbers[triangles]
-
-
-class _Nothing(Mapping):
-    """The files that a mesh may refer to: none."""
-
-    def __getitem__(self, key: Any) -> bytes:
-        raise KeyError(key)
-
-    def __iter__(self):
-        return iter(())
-
-    def __len__(self) -> int:
-        return 0
-
-    def get(self, key: Any, default: Any = None) -> bytes:
-        """No file, whatever its name."""
-        raise KeyError(key)

@@ -14,6 +14,7 @@ from .convex import Convex as Convex
 from .cylinder import Cylinder as Cylinder
 from .mesh import CONTACT_POINTS as CONTACT_POINTS
 from .mesh import Mesh as Mesh
+from .mesh import room_for as room_for
 from .plane import Plane as Plane
 from .sphere import Sphere as Sphere
 

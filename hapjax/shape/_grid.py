@@ -5,6 +5,7 @@ of a hash table (Teschner et al. 2003), and a row that serves two cells only has
 goes with the number of triangles, and a step's time with the cells on its way.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
@@ -13,12 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from .._memory import empty
 from ..errors import InputError
 from ._table import rows, span
-from ._topology import LARGEST, PIECE, SPARE, area_normals
+from ._topology import LARGEST, PIECE, SPARE, area_normals, pieces
 from ._triangle import area_normal, dot
 
 CHUNK = 4  # triangles at a time
+_SUMMED = 2**14  # areas that are summed before they meet the others: the last digit of a cell depends on it
+_COLUMNS = 2 * PIECE  # of cells, that are looked at together
+_ALLOWED = f"allowed: at most {LARGEST}, with triangles of less unequal sizes"
 _PRIMES = (73856093, 19349663, 83492791)
 _MARGIN = 0.01  # of a cell: by so much a triangle is taken larger than it is, so that rounding loses none
 
@@ -37,41 +42,77 @@ class Grid(eqx.Module):
 
 def grid_of(vertices: np.ndarray, triangles: np.ndarray, dtype: Any) -> Grid:
     """The grid of a mesh. **Raises:** `InputError` where its lists are longer than a float32 counts."""
-    pieces = [triangles[i : i + PIECE] for i in range(0, len(triangles), PIECE)]
-    area = sum(float(np.linalg.norm(area_normals(vertices, piece), axis=1).sum()) for piece in pieces) / 2
-    cell = 1.5 * np.sqrt(area / len(triangles))
-    low = vertices.min(axis=0) - cell
-    size = np.ceil((vertices.max(axis=0) + cell - low) / cell)
-    hashes, owners, occupied = _filled(vertices, pieces, low, cell, size)
+    low, size, cell = _box(vertices, triangles)
+    entries, occupied = _filled(vertices, triangles, low, cell, size)
     rows = 1 << int(np.ceil(np.log2(2 * occupied)))
-    pair = (hashes & np.uint32(rows - 1)).astype(np.int64)
-    pair *= len(triangles)
-    pair += owners
-    pair = np.unique(pair)  # a triangle once a row
-    row, owners = pair // len(triangles), pair % len(triangles)
-    start = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=rows))])
-    parts = (low, low + size * cell, cell, start, np.pad(owners, (0, SPARE)))
+    entries &= rows * LARGEST - 1
+    entries.sort()
+    entries = entries[: _told_apart(entries)]  # a triangle once a row
+    start = empty((rows + 1,), dtype)
+    for piece in pieces(rows + 1):
+        start[piece] = np.searchsorted(entries, LARGEST * np.arange(piece.start, piece.stop))
+    entries &= LARGEST - 1
+    owners = empty((len(entries) + SPARE,), dtype)
+    owners[: len(entries)], owners[len(entries) :] = entries, 0
+    parts = (low, low + size * cell, cell, start, owners)
     return Grid(*(jnp.asarray(part, dtype) for part in parts))
 
 
+def cells_met(vertices: np.ndarray, triangles: np.ndarray) -> float:
+    """About how many cells the triangles of a mesh meet, each counted for itself: so many are in memory while its grid
+    is made. It is found in little room."""
+    met = 0.0
+    with np.errstate(all="ignore"):  # what is not finite or without an area is refused elsewhere
+        low, _, cell = _box(vertices, triangles)
+        for piece in pieces(len(triangles)):
+            columns = _Columns((vertices[triangles[piece]] - low) / cell)
+            met += float(np.nansum(columns.number * (1 + 2 * columns.reach)))
+    return met
+
+
+def _box(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """The lowest corner of the box of all cells, how many they are along each axis, and their edge length."""
+    sizes = np.empty(len(triangles))
+    for piece in pieces(len(triangles)):
+        sizes[piece] = np.linalg.norm(area_normals(vertices, triangles[piece]), axis=1)
+    area = sum(float(sizes[i : i + _SUMMED].sum()) for i in range(0, len(sizes), _SUMMED)) / 2
+    cell = 1.5 * np.sqrt(area / len(triangles))
+    low = vertices.min(axis=0) - cell
+    return low, np.ceil((vertices.max(axis=0) + cell - low) / cell), cell
+
+
 def _filled(
-    vertices: np.ndarray, pieces: list[np.ndarray], low: np.ndarray, cell: float, size: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """The hash of each cell that a triangle may meet, that triangle, and how many cells there are."""
-    hashes, owners, places, first = [], [], [], 0
-    for piece in pieces:
-        cells, owner = _cells_of((vertices[piece] - low) / cell)
-        hashes.append(_hash([cells[:, i].astype(np.uint32) for i in range(3)], 2**32))
-        owners.append((first + owner).astype(np.int32))
-        # Where these run over, a few cells count as one.
-        places.append(np.unique((cells[:, 0] * int(size[1]) + cells[:, 1]) * int(size[2]) + cells[:, 2]))
-        first += len(piece)
-    found = sum(map(len, owners))
-    if found >= LARGEST:
-        raise InputError(
-            f"triangles meet {found} cells; allowed: at most {LARGEST}, with triangles of less unequal sizes"
-        )
-    return np.concatenate(hashes), np.concatenate(owners), len(np.unique(np.concatenate(places)))
+    vertices: np.ndarray, triangles: np.ndarray, low: np.ndarray, cell: float, size: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """For each cell that a triangle may meet `LARGEST` times its hash plus that triangle, and how many cells there are."""
+    entries, places, found = [], [], 0
+    for piece in pieces(len(triangles)):
+        for cells, owner in _cells_of((vertices[triangles[piece]] - low) / cell):
+            found += len(owner)
+            if found >= LARGEST:
+                raise InputError(f"triangles meet {found} cells or more; {_ALLOWED}")
+            row = _hash([cells[:, i].astype(np.uint32) for i in range(3)], 2**32)
+            entries.append(row.astype(np.int64) * LARGEST + (piece.start + owner))
+            # Where these run over, a few cells count as one.
+            place = (cells[:, 0] * int(size[1]) + cells[:, 1]) * int(size[2]) + cells[:, 2]
+            places.append(np.unique(place))
+    every = np.concatenate(places)
+    del places
+    every.sort()
+    occupied = _told_apart(every)
+    del every
+    return np.concatenate(entries), occupied
+
+
+def _told_apart(numbers: np.ndarray) -> int:
+    """Put the different ones of sorted numbers to the front: how many they are."""
+    kept = 1
+    for piece in pieces(len(numbers) - 1):
+        here = numbers[piece.start + 1 : piece.stop + 1]
+        new = here[here != numbers[piece]]
+        numbers[kept : kept + len(new)] = new
+        kept += len(new)
+    return kept
 
 
 def _hash(cell: list, rows: int) -> Any:
@@ -79,42 +120,52 @@ def _hash(cell: list, rows: int) -> Any:
     return (x ^ y ^ z) & np.uint32(rows - 1)
 
 
-def _cells_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All cells that a triangle may meet, each with the triangle; lengths in cells.
+class _Columns:
+    """The columns of cells that triangles may meet, lengths in cells: those along the axis that a triangle faces most."""
 
-    They are those of the columns along the axis that the triangle faces most, as far as its plane goes through them.
+    def __init__(self, corners: np.ndarray):
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        up = np.argmax(np.abs(normal), axis=1)
+        self.axes = np.stack([(up + 1) % 3, (up + 2) % 3, up], axis=1)
+        corners = np.take_along_axis(corners, self.axes[:, None], axis=2)
+        normal = np.take_along_axis(normal, self.axes, axis=1)
+        self.corner = corners[:, 0]
+        self.first = np.floor(corners.min(axis=1) - _MARGIN)
+        self.last = np.floor(corners.max(axis=1) + _MARGIN)
+        self.wide = self.last - self.first + 1
+        self.number = self.wide[:, 0] * self.wide[:, 1]
+        self.slope = normal[:, :2] / normal[:, 2:]
+        self.reach = (0.5 + _MARGIN) * np.abs(self.slope).sum(axis=1) + _MARGIN
+
+
+def _cells_of(corners: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """All cells that a triangle may meet, each with the triangle, some at a time; lengths in cells.
+
+    They are those of its columns, as far as its plane goes through them.
     """
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    up = np.argmax(np.abs(normal), axis=1)
-    axes = np.stack([(up + 1) % 3, (up + 2) % 3, up], axis=1)
-    corners = np.take_along_axis(corners, axes[:, None], axis=2)
-    normal = np.take_along_axis(normal, axes, axis=1)
-    first = np.floor(corners.min(axis=1) - _MARGIN)
-    last = np.floor(corners.max(axis=1) + _MARGIN)
-
-    wide = (last - first + 1).astype(np.int64)
-    owner, rank = _expand(wide[:, 0] * wide[:, 1])
-    column = first[owner, :2] + np.stack([rank % wide[owner, 0], rank // wide[owner, 0]], axis=1)
-    slope = normal[:, :2] / normal[:, 2:]
-    height = corners[owner, 0, 2] - np.sum(slope[owner] * (column + 0.5 - corners[owner, 0, :2]), axis=1)
-    reach = (0.5 + _MARGIN) * np.abs(slope).sum(axis=1)[owner] + _MARGIN
-    low = np.maximum(np.floor(height - reach), first[owner, 2])
-    high = np.minimum(np.floor(height + reach), last[owner, 2])
-
-    index, rank = _expand(np.maximum(high - low + 1, 0).astype(np.int64))
-    cell, owner = np.concatenate([column[index], (low[index] + rank)[:, None]], axis=1), owner[index]
-    placed = np.empty_like(cell)
-    np.put_along_axis(placed, axes[owner], cell, axis=1)
-    return placed.astype(np.int64), owner
-
-
-def _expand(number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each index as often as its number says, and how often it came before. **Raises:** `InputError` beyond all size."""
-    total = int(number.sum())
+    columns = _Columns(corners)
+    total = columns.number.sum()
     if total >= 2 * LARGEST:
-        raise InputError(f"triangles meet {total} cells; allowed: at most {LARGEST}, with sizes less unequal")
-    index = np.repeat(np.arange(len(number)), number)
-    return index, np.arange(total) - np.repeat(np.cumsum(number) - number, number)
+        raise InputError(f"triangles meet {total:.0f} cells; {_ALLOWED}")
+    number, wide = columns.number.astype(np.int64), columns.wide.astype(np.int64)
+    ends = np.cumsum(number)
+    for i in range(0, int(total), _COLUMNS):
+        here = np.arange(i, min(i + _COLUMNS, int(total)))
+        owner = np.searchsorted(ends, here, "right")
+        rank = here - (ends - number)[owner]
+        column = columns.first[owner, :2] + np.stack([rank % wide[owner, 0], rank // wide[owner, 0]], axis=1)
+        off = columns.slope[owner] * (column + 0.5 - columns.corner[owner, :2])
+        height, reach = columns.corner[owner, 2] - np.sum(off, axis=1), columns.reach[owner]
+        low = np.maximum(np.floor(height - reach), columns.first[owner, 2])
+        high = np.minimum(np.floor(height + reach), columns.last[owner, 2])
+
+        many = np.maximum(high - low + 1, 0).astype(np.int64)
+        index = np.repeat(np.arange(len(many)), many)
+        rank = np.arange(len(index)) - np.repeat(np.cumsum(many) - many, many)
+        cell, owner = np.concatenate([column[index], (low[index] + rank)[:, None]], axis=1), owner[index]
+        placed = np.empty_like(cell)
+        np.put_along_axis(placed, columns.axes[owner], cell, axis=1)
+        yield placed.astype(np.int64), owner
 
 
 def first_entered(

@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ._topology import pieces
+
 _BESIDE = 8  # chosen points about a vertex, over which it may stand out
 
 
@@ -32,11 +34,17 @@ def touching_of(vertices: np.ndarray, normals: np.ndarray, most: int, dtype: Any
     left = KDTree(vertices[chosen]).query(vertices)[0]
     while len(chosen) < most:
         chosen.append(int(np.argmax(left)))
-        left = np.minimum(left, np.linalg.norm(vertices - vertices[chosen[-1]], axis=1))
+        for piece in pieces(len(vertices)):
+            apart = np.linalg.norm(vertices[piece] - vertices[chosen[-1]], axis=1)
+            left[piece] = np.minimum(left[piece], apart)
     chosen = np.sort(chosen)
-    near = KDTree(vertices[chosen]).query(vertices, min(_BESIDE, len(chosen)))[1].reshape(len(vertices), -1)
-    apart = vertices[:, None] - vertices[chosen][near]
-    bulge = np.einsum("vni,vi->vn", apart, normals).min(axis=1).max()
+    tree, bulge = KDTree(vertices[chosen]), -np.inf
+    for piece in pieces(len(vertices)):
+        own = vertices[piece]
+        near = tree.query(own, min(_BESIDE, len(chosen)))[1].reshape(len(own), -1)
+        apart = own[:, None] - vertices[chosen][near]
+        above = np.einsum("vni,vi->vn", apart, normals[piece].astype(np.float64))
+        bulge = max(bulge, above.min(axis=1).max())
     return Touching(jnp.asarray(chosen, dtype), jnp.asarray(max(bulge, 0.0), dtype))
 
 

@@ -10,11 +10,12 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from ._cones import cones_of, is_hollow
+from .._memory import empty
+from ._cones import fill_cones, is_hollow, some_groups, spread_of
 from ._lanes import one_by_one
 from ._planes import frozen
 from ._table import rows, span
-from ._topology import PIECE, SPARE, Topology
+from ._topology import SPARE, Topology, pieces
 from ._triangle import dot, nearest_part, nearest_point
 from ._walk import descend
 
@@ -31,7 +32,7 @@ class Tree(eqx.Module):
     the triangles reach at least and at most (m). The axes are the principal ones: where triangles lie about in a plane, a
     box along the axes of the mesh would stand far out of it. `start`: where the triangles of each leaf begin in
     `triangles`, which some zeros follow. Whole numbers are kept as floats. `cones`: of each box the cone of normals of
-    `cones_of`; `None` where the surface is convex.
+    `fill_cones`; `None` where the surface is convex.
     """
 
     boxes: Float[Array, "N 8 5 3"]
@@ -40,69 +41,110 @@ class Tree(eqx.Module):
     cones: Float[Array, "N 8 4"] | None
 
 
-def tree_of(vertices: np.ndarray, triangles: np.ndarray, beside: Topology, dtype: Any) -> Tree:
-    """The tree of a mesh: halves of equal number along the longest axis, and so on."""
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    middle = (a + b + c) / 3
-    del a, b, c
-    count, ranks = len(triangles), 1
+def tree_of(
+    vertices: np.ndarray, triangles: np.ndarray, across: np.ndarray, normals: Float[Array, "V 3"]
+) -> Tree:
+    """The tree of a mesh: halves of equal number along the longest axis, and so on.
+
+    **Arguments:** `across` and `normals`: see `topology`.
+    """
+    count, ranks, dtype = len(triangles), _ranks(len(triangles)), normals.dtype
+    order = _halved(_middles(vertices, triangles), 3 * ranks)
+    first = [_starts(count, _CHILDREN**rank) for rank in range(1, ranks + 1)]
+    boxes, known = empty((boxes_for(count), 5, 3), dtype), np.asarray(normals)
+    cones = empty((len(boxes), 4), dtype) if is_hollow(vertices, triangles, across) else None
+    spread = None if cones is None else spread_of(vertices, triangles, known)
+    triangles, below = triangles[order], 0
+    for start in first:
+        rank = slice(below, below := below + len(start) - 1)
+        _fill_boxes(boxes[rank], vertices, triangles, start)
+        if cones is not None and spread is not None:
+            fill_cones(cones[rank], boxes[rank], vertices, triangles, start, known, spread)
+    del triangles
+    every = np.concatenate([order, np.zeros(SPARE, np.int32)])
+    parts = (boxes.reshape(-1, _CHILDREN, 5, 3), first[-1][:-1], every)
+    boxes, start, numbers = (jnp.asarray(part, dtype) for part in parts)
+    return Tree(
+        boxes, start, numbers, None if cones is None else jnp.asarray(cones.reshape(-1, _CHILDREN, 4), dtype)
+    )
+
+
+def boxes_for(count: int) -> int:
+    """How many boxes, one in the other, the tree of so many triangles has."""
+    return sum(_CHILDREN**rank for rank in range(1, _ranks(count) + 1))
+
+
+def _ranks(count: int) -> int:
+    ranks = 1
     while _CHILDREN**ranks * _LEAF < count:
         ranks += 1
-    order = np.arange(count)
-    for halving in range(3 * ranks):
+    return ranks
+
+
+def _middles(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """The middles of the triangles (T, 3)."""
+    middle = np.empty(triangles.shape)
+    for piece in pieces(len(triangles)):
+        a, b, c = (vertices[triangles[piece, i]] for i in range(3))
+        middle[piece] = (a + b + c) / 3
+    return middle
+
+
+def _halved(points: np.ndarray, times: int) -> np.ndarray:
+    """The order of points in which each group lies together, after all groups are halved some times."""
+    count = len(points)
+    order = np.arange(count, dtype=np.int32)
+    for halving in range(times):
         start = _starts(count, 2**halving)
-        group = np.repeat(np.arange(2**halving), np.diff(start))
-        points = middle[order]
-        size = np.maximum.reduceat(points, start[:-1]) - np.minimum.reduceat(points, start[:-1])
-        key = points[np.arange(count), np.argmax(size, axis=1)[group]]
-        order = order[np.lexsort((key, group))]
-    first = [_starts(count, _CHILDREN**rank) for rank in range(1, ranks + 1)]
-    boxes = [_boxes(vertices, triangles[order], start, dtype) for start in first]
-    cones = None
-    if is_hollow(vertices, triangles, beside):
-        near = [(box, start[:-1]) for box, start in zip(boxes, first, strict=True)]
-        every = [cones_of(vertices, triangles[order], beside, *group) for group in near]
-        cones = jnp.asarray(np.concatenate(every).reshape(-1, _CHILDREN, 4), dtype)
-    parts = (np.concatenate(boxes).reshape(-1, _CHILDREN, 5, 3), first[-1][:-1], np.pad(order, (0, SPARE)))
-    boxes, start, numbers = (jnp.asarray(part, dtype) for part in parts)
-    return Tree(boxes, start, numbers, cones)
+        size = np.empty((len(start) - 1, 3))
+        for axis in range(3):
+            along = points[order, axis]
+            size[:, axis] = np.maximum.reduceat(along, start[:-1]) - np.minimum.reduceat(along, start[:-1])
+        group = np.repeat(np.arange(2**halving, dtype=np.int32), np.diff(start))
+        along = points[order, np.argmax(size, axis=1).astype(np.int8)[group]]
+        order = order[np.lexsort((along, group))]
+    return order
 
 
 def _starts(count: int, groups: int) -> np.ndarray:
     return np.arange(groups + 1) * count // groups
 
 
-def _boxes(
+def _fill_boxes(
+    boxes: Float[np.ndarray, "G 5 3"],
     vertices: Float[np.ndarray, "V 3"],
     triangles: Int[np.ndarray, "T 3"],
     start: Int[np.ndarray, "G1"],
-    dtype: Any,
-) -> Float[np.ndarray, "G 5 3"]:
-    """The axes and the ends of the box about each group of triangles, a few groups at a time."""
-    boxes = np.empty((len(start) - 1, 5, 3), dtype)
-    i, step = 0, max(1, len(boxes) * PIECE // len(triangles))
-    while i < len(boxes):
-        end = min(i + step, len(boxes))
-        end += start[end] == start[end - 1]  # an empty group is told by the next one
-        own = start[i : end + 1]
-        boxes[i:end] = _boxes_about(vertices[triangles[own[0] : own[-1]]], own - own[0])
-        i = end
-    return boxes
+) -> None:
+    """Fill in the axes and the ends of the box about each group of triangles, a few groups at a time."""
+    for groups in some_groups(start):
+        own = start[groups.start : groups.stop + 1]
+        boxes[groups] = _boxes_about(vertices, triangles[own[0] : own[-1]], own - own[0])
 
 
 def _boxes_about(
-    corners: Float[np.ndarray, "T 3 3"], start: Int[np.ndarray, "G1"]
+    vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "T 3"], start: Int[np.ndarray, "G1"]
 ) -> Float[np.ndarray, "G 5 3"]:
     first, number = start[:-1], np.diff(start)
+    owner = np.repeat(np.arange(len(number)), number)
 
     def mean(x):
-        return np.add.reduceat(x.mean(axis=1), first) / np.maximum(number, 1).reshape(-1, *[1] * (x.ndim - 2))
+        return np.add.reduceat(x, first) / np.maximum(number, 1).reshape(-1, *[1] * (x.ndim - 1))
 
-    seen = corners - np.repeat(mean(corners), number, axis=0)[:, None]
-    axes = np.linalg.eigh(mean(seen[..., None] * seen[..., None, :]))[1].swapaxes(1, 2)
-    along = np.einsum("tij,tcj->tci", np.repeat(axes, number, axis=0), corners)
-    low = np.minimum.reduceat(along.min(axis=1), first)
-    high = np.maximum.reduceat(along.max(axis=1), first)
+    middle, square = np.empty((len(triangles), 3)), np.empty((len(triangles), 3, 3))
+    for piece in pieces(len(triangles)):
+        middle[piece] = vertices[triangles[piece]].mean(axis=1)
+    middle = mean(middle)
+    for piece in pieces(len(triangles)):
+        seen = vertices[triangles[piece]] - middle[owner[piece]][:, None]
+        square[piece] = (seen[..., None] * seen[..., None, :]).mean(axis=1)
+    axes = np.ascontiguousarray(np.linalg.eigh(mean(square))[1].swapaxes(1, 2))
+    del square
+    low, high = np.empty((2, len(triangles), 3))
+    for piece in pieces(len(triangles)):
+        along = np.einsum("tij,tcj->tci", axes[owner[piece]], vertices[triangles[piece]])
+        low[piece], high[piece] = along.min(axis=1), along.max(axis=1)
+    low, high = np.minimum.reduceat(low, first), np.maximum.reduceat(high, first)
     return np.concatenate([axes, low[:, None], high[:, None]], axis=1)
 
 

@@ -9,20 +9,22 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from .. import safe
+from .._memory import empty, give_back
 from .._segments import decided
 from .._validate import as_float, check_number, check_positive, flag, is_traced
 from ..errors import InputError
+from ._closed import checked
 from ._creases import Creases, creases_of
-from ._grid import Grid, grid_of
+from ._grid import Grid, cells_met, grid_of
 from ._hold import hold, pseudonormal, unit_normal
 from ._local import others
 from ._planes import corner_of, frozen, holding
 from ._shape import Corner, Edges, Shape, SurfacePoint, Track, begin, ease
 from ._solid import Solid, solid_of
 from ._table import rows
-from ._topology import Topology, checked, topology, vertex_normals
+from ._topology import Topology, across_of, topology, vertex_normals
 from ._touching import Touching, touching_of
-from ._tree import Tree, nearest, tree_of
+from ._tree import Tree, boxes_for, nearest, tree_of
 from ._triangle import dot, nearest_part, nearest_point, weights
 
 CONTACT_POINTS = 256
@@ -76,6 +78,7 @@ class Mesh(Shape):
         points, faces = checked(vertices, triangles, 1.0 if is_traced(self.scale) else float(self.scale))
         given = as_float(vertices)
         self.vertices = jnp.asarray(points, given.dtype if isinstance(given, jax.Array) else None)
+        del given  # as large as the mesh
         dtype = self.vertices.dtype
         self.scale = jnp.asarray(self.scale, dtype)
         self.contact_points = _number(contact_points)
@@ -291,17 +294,32 @@ class Mesh(Shape):
 def _parts(
     points: np.ndarray, faces: np.ndarray, vertices: Float[Array, "V 3"], contact_points: int
 ) -> tuple:
-    """What is found once of a checked surface."""
+    """What is found once of a checked surface; what takes most room on the way comes first."""
     dtype = vertices.dtype
-    beside = topology(points, faces, dtype)
-    return (
-        beside,
-        grid_of(points, faces, dtype),
-        solid_of(vertices[faces]),
-        creases_of(points, faces, dtype),
-        tree_of(points, faces, beside, dtype),
-        touching_of(points, np.asarray(beside.vertex_normals, np.float64), contact_points, dtype),
-    )
+    corners = empty((len(faces), 3, 3), dtype)
+    corners[:] = np.asarray(vertices)[faces]
+    solid = solid_of(jnp.asarray(corners, dtype))
+    del corners
+    across = across_of(faces, len(points))
+    give_back()
+    creases = creases_of(points, faces, across, dtype)
+    grid = grid_of(points, faces, dtype)
+    give_back()
+    normals = jnp.asarray(vertex_normals(points, faces), dtype)
+    touching = touching_of(points, np.asarray(normals), contact_points, dtype)
+    give_back()
+    tree = tree_of(points, faces, across, normals)
+    give_back()
+    return topology(points, faces, across, normals), grid, solid, creases, tree, touching
+
+
+def room_for(vertices: np.ndarray, triangles: np.ndarray) -> int:
+    """About how many bytes it takes to build a mesh in float32, beside what a small one takes; found in little room.
+
+    Most is needed either while the grid is made, or at the end, when all there is beside it is in memory too.
+    """
+    count, cells = len(triangles), cells_met(vertices, triangles)
+    return int(max(60 * count + 28 * cells, 140 * count + 76 * boxes_for(count) + 6 * cells))
 
 
 def _number(contact_points: Any) -> int:
