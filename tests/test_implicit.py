@@ -93,7 +93,7 @@ def test_it_settles_where_explicit_steps_blow_up():
     np.testing.assert_allclose(depth, 0.05 * G / 4e8, rtol=1e-4)
 
 
-def dropped_stack(names=("first", "second")):
+def dropped_stack(names=("a", "b")):
     """Two cubes, the upper one turned a little, dropped onto each other and a floor from 5 mm each."""
     low = hapjax.Object(hapjax.Box((EDGE,) * 3), None, hapjax.Body(0.05), (0, 0, EDGE / 2 + 0.005))
     turn = quaternion((0.1, 0.2, 1), 0.2)
@@ -126,12 +126,13 @@ def test_a_stack_that_is_dropped_settles_at_long_steps():
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["implicit", "lie_midpoint"])
 def test_the_names_of_contacts_do_not_matter(method):
-    ends = []
+    places = []
     for names in (("a", "b"), ("b", "a")):
         scene = dataclasses.replace(dropped_stack(names), integrator=METHODS[method]())
-        ends.append(hapjax.rollout(scene, hapjax.init(scene, away(1)[0]), away(100))[0].motion)
-    for name in ("low", "high"):
-        np.testing.assert_allclose(ends[0][name].position, ends[1][name].position, atol=1e-12)
+        # As many steps as above, so that what was compiled there serves here too.
+        _, replies = hapjax.rollout(scene, hapjax.init(scene, away(1)[0]), away(400))
+        places.append(replies.pose[:100, :, :3])
+    np.testing.assert_allclose(*places, rtol=0, atol=1e-12)
 
 
 # Accuracy -------------------------------------------------------------------------------------------------
@@ -254,18 +255,21 @@ def test_gradients_are_those_of_differences(case):
     size = len(ravel_pytree(chosen(scene))[0])
     # Each number by itself at 0; then along ways on which all of them move, at points to either side of 0.
     ways = np.random.default_rng(1).choice([-1.0, 1.0], (3, size))
-    steps = np.array([1e-4, 1e-5, 1e-6])[:, None] * np.array([-2, -1, 1, 2])
-    places = np.concatenate([np.zeros((size, size)), (steps[..., None, None] * ways).reshape(-1, size)])
-    along = np.concatenate([np.eye(size), np.zeros((len(places) - size, size))])
-    values, slopes = map(np.asarray, pushed(jnp.asarray(places), jnp.asarray(along), scene, velocity))
+    points = np.array([-2, -1, 1, 2])
+    axes = np.eye(len(points) * len(ways), size)
+    slopes = np.asarray(pushed(jnp.zeros(axes.shape), jnp.asarray(axes), scene, velocity)[1])
     forward, reverse = slopes[:size].T, np.asarray(pulled(jnp.zeros(size), scene, velocity))
     scale = np.abs(forward).max()
     np.testing.assert_allclose(forward, reverse, atol=1e-9 * scale)
-    values = values[size:].reshape(3, 4, len(ways), -1)
-    found = [
-        np.tensordot([1, -8, 8, -1], v, axes=1) / (12 * h) for v, h in zip(values, steps[:, 2], strict=True)
-    ]
-    off = np.min([np.abs(ways @ forward.T - numeric) for numeric in found], axis=0)
+    off = np.full((len(ways), len(forward)), np.inf)
+    for step in (1e-5, 1e-6, 1e-4):  # what one step shows needs no other
+        places = jnp.asarray((step * points[:, None, None] * ways).reshape(axes.shape))
+        values = np.asarray(pushed(places, jnp.zeros(axes.shape), scene, velocity)[0])
+        values = values.reshape(len(points), len(ways), -1)
+        numeric = np.tensordot([1, -8, 8, -1], values, axes=1) / (12 * step)
+        off = np.minimum(off, np.abs(ways @ forward.T - numeric))
+        if off.max() < 1e-5 * scale:
+            break
     assert off.max() < 1e-5 * scale
 
 
