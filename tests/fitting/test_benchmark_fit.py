@@ -14,6 +14,7 @@ from hapjax_fitting.benchmark import beside_mujoco, by_hand, efficiency, report,
 from hapjax_fitting.benchmark.cases import CASES, Case, stroke
 from hapjax_fitting.parameters import free_parameters
 from helpers import followed
+from test_docs import section
 
 FLOOR = "object.floor.surface."
 _PROGRAM = {"error": [1, 1], "width": [1, 1], "hold": [1, 1], "arrived": 1, "warm_s": 1.0, "first_s": 1.0}
@@ -91,6 +92,15 @@ def test_what_ends_elsewhere_is_told_apart(monkeypatch):
 
 
 @pytest.mark.slow
+def names_in(figures):
+    """The names of all figures, those of programs left out."""
+    if isinstance(figures, list):
+        return set().union(*map(names_in, figures))
+    if not isinstance(figures, dict):
+        return set()
+    return (set(figures) - {"hapjax"}).union(*map(names_in, figures.values()))
+
+
 def test_the_command(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(report, "DRAWS", {"mu, stiffness": 100})
     monkeypatch.setattr(report, "FROM_AFAR", {"mu, stiffness": 100})
@@ -112,6 +122,7 @@ def test_the_command(tmp_path, capsys, monkeypatch):
     np.testing.assert_allclose(minute["estimates"], [0.6, 800], rtol=0.02)
     np.testing.assert_allclose(minute["by_hand"], minute["estimates"], rtol=1e-4)
     assert figures["recordings"]["recordings"] == [1, 3]
+    assert not [key for key in names_in(figures) if f"`{key}`" not in section("benchmark")]
     lines = (folder / "mu_stiffness.csv").read_text().splitlines()
     assert lines[0] == "recording,parameter,estimate,low95,high95" and len(lines) == 1 + 2 * 2
     assert lines[1].startswith(f"0,{FLOOR}mu,0.") and {len(line.split(",")) for line in lines} == {5}
