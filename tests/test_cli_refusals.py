@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hapjax.cli import main
+from test_recording_mcap import json_file
 
 SCENE = """
 [object.cube]
@@ -337,6 +338,12 @@ def test_a_malformed_scene_is_refused(old, new, words, tmp_path, capsys):
     file.write_text(SCENE.replace(old, new, 1))
     error = refused(capsys, ["simulate", str(file), "--hip", "hip.npz", "--out", "out.npz"], words)
     assert "bad.toml" in error
+
+
+def test_a_file_does_not_steer_the_terminal(tmp_path, places, capsys):
+    (tmp_path / "a.mcap").write_bytes(json_file({}, topic="/\x1b]0;title\x07"))
+    arguments = ["simulate", places["scene"], "--hip", str(tmp_path / "a.mcap"), "--out", "o.npz"]
+    assert refused(capsys, arguments, ["/?]0;title? (hapjax.hip)"]).strip().isprintable()
 
 
 @pytest.mark.parametrize(("arguments", "words"), ARGUMENTS, ids=[" ".join(a)[:60] for a, _ in ARGUMENTS])

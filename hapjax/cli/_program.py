@@ -103,7 +103,9 @@ def _figures_on_stdout(arguments: list[str]) -> Iterator[list[str]]:
 
 
 def _say(sentence: str, code: int) -> int:
-    print(f"hapjax: {' '.join(sentence.split())}", file=sys.stderr)
+    # A file's own words may hold what steers a terminal.
+    plain = "".join(c if c.isprintable() else "?" for c in " ".join(sentence.split()))
+    print(f"hapjax: {plain}", file=sys.stderr)
     return code
 
 
