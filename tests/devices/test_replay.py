@@ -20,4 +20,7 @@ def test_a_recording_replays_to_the_last_bit(precision, fingers, tmp_path):
     assert done.returncode == 0, done.stderr
     figures = json.loads(done.stdout)
     assert figures["ticks"] == replay_cases.TICKS and figures["most"] > 1.5
+    assert len(figures["since"]) == (fingers == 1) and all(
+        0 < tick < figures["ticks"] for tick in figures["since"]
+    )
     assert (figures["result"], figures["file"]) == (0, 0)
