@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .._memory import give_back
 from .._validate import as_float, is_traced
 from ..errors import InputError
+from ._topology import area_normals, pieces
 from .mesh import CONTACT_POINTS, Mesh
 
 _ALLOWED = "allowed: at least four points in m that do not all lie in one plane"
@@ -40,6 +42,7 @@ class Convex(Mesh):
         if is_traced(points):
             raise InputError("points are traced; allowed: known numbers (see Convex.moved)")
         used, triangles, facets = _hull(points)
+        give_back()
         super().__init__(points[used], triangles, scale, False, file, contact_points)
         self.facets = jnp.asarray(facets, self.vertices.dtype)
         self.count = int(facets.max()) + 1
@@ -82,17 +85,19 @@ def _hull(points: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     except QhullError:
         raise InputError(f"points have no hull with a volume; {_ALLOWED}") from None
     used, triangles = np.unique(hull.simplices, return_inverse=True)
-    triangles = triangles.reshape(-1, 3)
-    corners = points[used][triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    turned = np.sum(normals * hull.equations[:, :3], axis=1) < 0
-    triangles[turned] = triangles[turned][:, ::-1]
+    triangles = triangles.astype(np.int32).reshape(-1, 3)
+    outer = points[used]
+    for piece in pieces(len(triangles)):
+        own = triangles[piece]
+        turned = np.sum(area_normals(outer, own) * hull.equations[piece, :3], axis=1) < 0
+        own[turned] = own[turned][:, ::-1]
     return used, triangles, _flat_faces(hull.equations[:, :3], hull.neighbors)
 
 
 def _flat_faces(normals: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     """A number for each triangle, the same for neighbours in one plane."""
-    same = np.linalg.norm(normals[:, None] - normals[neighbours], axis=2) < _FLAT
+    apart = [np.linalg.norm(normals[p, None] - normals[neighbours[p]], axis=2) for p in pieces(len(normals))]
+    same = np.concatenate(apart) < _FLAT
     label = np.arange(len(normals))
     while True:
         least = np.minimum(label, np.where(same, label[neighbours], len(label)).min(axis=1))
