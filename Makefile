@@ -57,8 +57,8 @@ clean:
 	rm -rf .venv .cache site dist build hapjax-demo .pytest_cache .ruff_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-.venv/.installed-demo: EXTRAS := fitting,devices,mesh
-.venv/.installed-dev: EXTRAS := fitting,devices,falcon,inverse3,mesh,posterior,recording,viewer,bench,dev
+.venv/.installed-demo: EXTRAS := fitting,devices
+.venv/.installed-dev: EXTRAS := fitting,devices,falcon,inverse3,posterior,recording,viewer,bench,dev
 .venv/.installed-docs: EXTRAS := docs,fitting
 
 .venv/.installed-%: pyproject.toml constraints.txt | $(BIN)/python
