@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from ipaddress import ip_address
 from pathlib import Path
 from urllib.request import urlopen
@@ -224,8 +225,10 @@ def test_a_viewer_listens_on_this_computer_alone_and_its_death_leaves_the_servo_
 
 def listening(process):
     """The addresses at which a process listens for TCP."""
-    own = {os.readlink(f"/proc/{process}/fd/{n}") for n in os.listdir(f"/proc/{process}/fd")}
-    found = set()
+    own, found = set(), set()
+    for number in os.listdir(f"/proc/{process}/fd"):
+        with suppress(FileNotFoundError):  # closed meanwhile
+            own.add(os.readlink(f"/proc/{process}/fd/{number}"))
     for version, word in (("tcp", "<I"), ("tcp6", "<4I")):
         for line in Path(f"/proc/net/{version}").read_text().splitlines()[1:]:
             _, local, _, state, *_, inode = line.split()[:10]
