@@ -13,10 +13,8 @@ from .content import CHUNK_RATIO, UNPACKED_MARGIN, UNPACKED_RATIO, check_unpacke
 from .finding import Finding
 
 _SCHEMA, _MESSAGE = 3, 5
-_OBJECT, _ENTRIES = (
-    500,
-    16,
-)  # bytes that a record takes as an object, and by how much its entries grow as objects
+_OBJECT = 500  # bytes that a record takes as an object
+_ENTRIES = 16  # times as many bytes a channel's entries take as objects
 DAMAGE = (ValueError, TypeError, KeyError, struct.error, OverflowError, MemoryError, EOFError, RuntimeError)
 
 

@@ -80,8 +80,7 @@ def _refuse_surface(points: np.ndarray, faces: np.ndarray, scale: float) -> None
 
 
 def _areas(points: np.ndarray, faces: np.ndarray, scale: float = 1.0) -> np.ndarray:
-    a, b, c = (points[faces[:, i]] * scale for i in range(3))
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return scale**2 * np.linalg.norm(area_normals(points, faces), axis=1) / 2
 
 
 def _again(faces: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ._topology import pieces, unit_normals
+from ._topology import area_normals, pieces, unit_normals
 
 _SHARP = np.cos(np.radians(10.0))  # a tessellated smooth surface touches by its vertices alone
 MOST = 64
@@ -81,7 +81,7 @@ def _thickness(points: np.ndarray, faces: np.ndarray) -> float:
     for piece in pieces(len(faces)):
         a, b, c = (points[faces[piece, i]] for i in range(3))
         volumes[piece] = np.einsum("ij,ij->i", a, np.cross(b, c))
-        areas[piece] = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        areas[piece] = np.linalg.norm(area_normals(points, faces[piece]), axis=1)
     return (np.sum(volumes) / 6) / (np.sum(areas) / 2)
 
 

@@ -88,9 +88,7 @@ def test_a_service_has_long_to_answer_until_a_loop_waits(service, monkeypatch):
         assert 0 < device._connection.sock.gettimeout() <= 5.0
         service.fault = "closed"
         with pytest.raises(DeviceError):
-            for _ in range(3):
-                device.write(PUSH)
-                device.read()
+            three_ticks(device)
         service.fault = None
         until(device.recover)
         assert given[0] == 7.0 and {*given[1:]} == {5.0} and device._connection.sock.gettimeout() <= 5.0
@@ -103,9 +101,7 @@ def test_what_comes_in_small_pieces_holds_a_loop_up_no_longer_than_what_does_not
     with Inverse3(url=service.url) as device:
         service.fault = "drips"
         with pytest.raises(DeviceError, match="no message that makes sense came in two ticks"):
-            for _ in range(3):
-                device.write(PUSH)
-                device.read()
+            three_ticks(device)
     assert service.drops < DROPS / 2
 
 
@@ -143,9 +139,7 @@ def test_a_name_is_looked_up_before_a_loop_waits(service, monkeypatch):
     with Inverse3(url=f"ws://haply:{port}") as device:
         service.fault = "closed"
         with pytest.raises(DeviceError):
-            for _ in range(3):
-                device.write(PUSH)
-                device.read()
+            three_ticks(device)
         service.fault = None
         until(device.recover)
     assert asked[0] == "haply" and {*asked[1:]} == {"127.0.0.1"}
@@ -173,9 +167,7 @@ def test_a_fault_while_it_pushes(service, fault):
     with pytest.raises(
         DeviceError, match=SAID.get(fault, "no message that makes sense came in two ticks")
     ) as error:
-        for _ in range(3):  # the first finds an answer from before
-            device.write(PUSH)
-            device.read()
+        three_ticks(device)
     assert device.state == "faulted" and device.fault == str(error.value) and not device.output.any()
     with pytest.raises(DeviceClosed):
         device.write(PUSH)
@@ -188,6 +180,13 @@ def test_a_fault_while_it_pushes(service, fault):
     until(lambda: device.read() is not None and service.force["049D"].any())
     device.close()
     until(lambda: not service.force["049D"].any())
+
+
+def three_ticks(device):
+    """The first finds an answer from before."""
+    for _ in range(3):
+        device.write(PUSH)
+        device.read()
 
 
 def until(done, seconds=30.0):

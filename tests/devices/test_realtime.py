@@ -66,6 +66,18 @@ def test_a_late_wake_up_is_lateness_and_does_not_shift_the_deadlines():
     assert pacer.wait() == 0 and pacer.missed == 2
 
 
+def turned(monkeypatch):
+    """The computer's time in a list, ns: a microsecond goes by whenever it is looked at."""
+    now = [0]
+
+    def look():
+        now[0] += 1000
+        return now[0]
+
+    monkeypatch.setattr(realtime.time, "monotonic_ns", look)
+    return now
+
+
 def test_the_monotonic_clock_never_returns_early():
     clock = MonotonicClock()
     for ahead in (-1_000_000, 0, 50_000, 2_000_000):
@@ -79,17 +91,12 @@ def test_the_monotonic_clock_never_returns_early():
 )
 def test_a_loop_sleeps_in_each_period_however_short(rate, work, asleep, monkeypatch):
     """A process of real-time priority that is busy for over 95 % of a second is stopped for 50 ms of it."""
-    now, slept = [0], []
-
-    def look():
-        now[0] += 1000
-        return now[0]
+    now, slept = turned(monkeypatch), []
 
     def sleep(until):
         slept.append(until - now[0])
         now[0] = until
 
-    monkeypatch.setattr(realtime.time, "monotonic_ns", look)
     clock = MonotonicClock()
     clock._sleep = sleep
     pacer = Pacer(10**9 // rate, clock)
@@ -104,16 +111,11 @@ def test_a_loop_sleeps_in_each_period_however_short(rate, work, asleep, monkeypa
     [(900_000, 0, 1), (900_000, 60_000, 1), (900_000, 90_000, 0), (100_000, 0, 0), (-5000, 0, 0)],
 )
 def test_a_tick_is_rehearsed_after_a_sleep_where_there_is_time(ahead, over, rehearsed, monkeypatch):
-    now, done = [0], []
-
-    def look():
-        now[0] += 1000
-        return now[0]
+    now, done = turned(monkeypatch), []
 
     def sleep(until):
         now[0] = until + over
 
-    monkeypatch.setattr(realtime.time, "monotonic_ns", look)
     clock = MonotonicClock(lambda: done.append(now[0]), 75_000)
     clock._sleep = sleep
     deadline = now[0] + ahead

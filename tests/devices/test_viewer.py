@@ -376,8 +376,8 @@ def test_a_slow_page_gets_the_newest_and_not_all_that_was():
 
     with serving("test", "127.0.0.1", 0, (np.ones(3), np.zeros(3))) as server:
         drawn = server.scene.add_point_cloud("/a", np.zeros((1000, 3)), (0, 0, 0), precision="float32")
-        versions, uri = [f"viser-v{viser.__version__}"], f"ws://127.0.0.1:{server.get_port()}"
-        with connect(uri, subprotocols=versions, proxy=None, max_queue=1) as page:  # type: ignore[arg-type]
+        options: Any = dict(subprotocols=[f"viser-v{viser.__version__}"], proxy=None, max_queue=1)
+        with connect(f"ws://127.0.0.1:{server.get_port()}", **options) as page:
             assert page.recv(timeout=30)
             for now in range(100):
                 drawn.points = np.full((1000, 3), now, np.float32)

@@ -182,9 +182,8 @@ class Falcon(Driver):
         line.write(encode((0, 0, 0), HOMING | RED))
         until, over = self._clock.now() + time, False
         while not over:
-            over = (
-                self._clock.now() >= until
-            )  # asked first: what has come until then counts, also where nobody looked
+            # Asked first: what has come until then counts, also where nobody looked.
+            over = self._clock.now() >= until
             packets = self._assembler.feed(line.poll())
             yield state
             if packets:
